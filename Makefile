@@ -1,0 +1,35 @@
+# The few commands of this project; each makes the environment it needs.
+
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+.PHONY: setup repro test bench deps clean-cache
+
+setup: $(STAMP)
+
+# torch comes first and alone: a CPU build that nothing later may replace. anny and mediapipe come
+# without their own dependencies, which would pull 150 MB of unused code and a second OpenCV.
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt \
+	  anny roma mediapipe
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  --editable '.[dev]'
+	@touch $(STAMP)
+
+repro: $(STAMP)
+	$(BIN)/python -m deblur_avatar.pipeline.reproduce
+
+test: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/lint-imports
+	$(BIN)/mypy
+	DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks.rasterizer

@@ -1,0 +1,184 @@
+"""`params.yaml`, typed and strict.
+
+Every default lives in `params.yaml`, none here. Unknown keys, missing keys, wrong types and values
+out of range are errors that name the key. One class a section, in the order of the pipeline.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from deblur_avatar.errors import ConfigError
+
+P = TypeVar("P")
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Params(BaseModel):
+    """A section: immutable, without defaults, closed to unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+# --- body ---------------------------------------------------------------------------------------
+
+
+class AnnyBodyParams(Params):
+    """The default body, free of licences that bind."""
+
+    source: Literal["anny"]
+    shape_components: Annotated[int, Field(ge=1, le=20)]
+
+
+class SmplBodyParams(Params):
+    """A licensed SMPL file; `file` may hold `${VARIABLE}` from the environment."""
+
+    source: Literal["smpl"]
+    file: str
+    shape_components: Annotated[int, Field(ge=1, le=300)]
+
+
+BodyParams = Annotated[AnnyBodyParams | SmplBodyParams, Field(discriminator="source")]
+
+
+# --- clip ---------------------------------------------------------------------------------------
+
+
+class StudioParams(Params):
+    """A synthetic person with exact truth.
+
+    `motion` names a motion of `sources/studio`; `window` sub-frames (480 a second) are averaged into
+    the true blur. Pose noise is correlated over `noise_correlation_s`.
+    """
+
+    source: Literal["studio"]
+    motion: str
+    frames: Annotated[int, Field(ge=2)]
+    fps: Positive
+    image_size: Annotated[int, Field(ge=8)]  # square, pixels
+    test_cameras: Count
+    test_stride: Count
+    window: Count
+    samples_per_axis: Count  # rays a pixel is (samples_per_axis)^2
+    noise_degrees: NonNegative  # standard deviation per joint
+    noise_mm: NonNegative  # of the root
+    noise_correlation_s: NonNegative
+    held_out: Fraction  # last part of the clip, kept from training
+
+
+class MultiviewParams(Params):
+    """Video files of several calibrated cameras.
+
+    `root` may hold `${VARIABLE:-default}`. `frame_offsets` are added to each camera's frame numbers.
+    """
+
+    source: Literal["multiview"]
+    root: str
+    videos: tuple[str, ...]
+    calibration: str
+    frame_offsets: tuple[int, ...]
+    frames: tuple[int, int]  # first, one past last
+    image_height: Count  # frames are scaled to this height
+    train_camera: Annotated[int, Field(ge=0)]
+    test_stride: Count
+    held_out: Fraction
+
+
+ClipParams = Annotated[StudioParams | MultiviewParams, Field(discriminator="source")]
+
+
+# --- blur ---------------------------------------------------------------------------------------
+
+
+class BlurParams(Params):
+    """Windows of interpolated sub-frames, as in the paper."""
+
+    frames: Literal["interpolated", "true"]
+    factor: Count  # sub-frames a frame
+    window: Count  # sub-frames averaged, odd
+    light: Literal["srgb", "linear"]
+
+
+# --- preprocess ---------------------------------------------------------------------------------
+
+
+class PreprocessParams(Params):
+    """Masks, crops and poses from blurred frames."""
+
+    poses: Literal["given", "estimated"]
+    masks: Literal["given", "estimated"]
+    background: Literal["none", "median"]  # what is taken away behind a soft matte
+    margin: NonNegative  # of the crop, as a share of the person's box
+    validation_stride: Count  # every so-manieth frame is set aside
+
+
+# --- the loader ---------------------------------------------------------------------------------
+
+
+def load_params(path: Path, key: str, kind: Any) -> Any:
+    """Read one section (`"methods.paper.fusion"`) of a parameter file.
+
+    Raises:
+        ConfigError: naming the file, the key, what was wanted and what came.
+    """
+    value = read_yaml(path)
+    for depth, name in enumerate(key.split(".")):
+        if not isinstance(value, dict) or name not in value:
+            above = ".".join(key.split(".")[:depth]) or "the file"
+            known = ", ".join(map(str, value)) if isinstance(value, dict) else "no keys"
+            raise ConfigError(f"{path}: {key}: {above} has no key {name!r}, it has {known}")
+        value = value[name]
+    return parse(kind, value, f"{path}: {key}")
+
+
+def parse(kind: Any, value: Any, where: str) -> Any:
+    """Check one section against its class.
+
+    Raises:
+        ConfigError: all complaints at once, each with its key.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(_tuples(value))
+    except ValidationError as error:
+        complaints = [_complaint(item) for item in error.errors()]
+        raise ConfigError(f"{where}: " + "; ".join(complaints)) from None
+
+
+def read_yaml(path: Path) -> Any:
+    """Read a YAML 1.2 file as DVC does (`1e-3` is a number, `no` is a word).
+
+    Raises:
+        ConfigError: if it is missing or is not YAML.
+    """
+    try:
+        with Path(path).open() as file:
+            return YAML(typ="safe", pure=True).load(file)
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not YAML: {error}") from None
+
+
+def _tuples(value: Any) -> Any:
+    """Lists become tuples, so that parsed sections are immutable all the way down."""
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return tuple(_tuples(item) for item in value)
+    return value
+
+
+def _complaint(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"]) or "value"
+    if item["type"] == "extra_forbidden":
+        return f"unknown key {key!r}"
+    if item["type"] == "missing":
+        return f"missing key {key!r}"
+    return f"{key}: {item['msg'][0].lower() + item['msg'][1:]}, got {item['input']!r}"

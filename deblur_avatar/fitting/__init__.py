@@ -1,0 +1,1 @@
+"""How unknowns are estimated."""

@@ -1,0 +1,114 @@
+"""Rotations of three-dimensional space in three spellings.
+
+Conventions. Quaternions are `wxyz` and of unit length; `q` and `-q` are the same rotation.
+Axis-angle vectors are in radians, their length is the angle. Matrices act on column vectors.
+Every function is differentiable everywhere it is defined, the identity included.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+SMALL_ANGLE = 1e-4  # radians; below it the Taylor series is exact in float64 to 1e-17
+
+
+def axis_angle_to_quat(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
+    """Turn axis-angle vectors into unit quaternions with non-negative real part for angles <= pi."""
+    squared = axis_angle.square().sum(-1, keepdim=True)
+    small = squared < SMALL_ANGLE**2
+    angle = torch.where(small, torch.ones_like(squared), squared).sqrt()
+    real = torch.where(small, 1 - squared / 8, (angle / 2).cos())
+    factor = torch.where(small, 0.5 - squared / 48, (angle / 2).sin() / angle)
+    return torch.cat([real, factor * axis_angle], dim=-1)
+
+
+def quat_to_axis_angle(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3"]:
+    """Turn unit quaternions into axis-angle vectors of angle at most pi."""
+    quats = torch.where(quats[..., :1] < 0, -quats, quats)
+    real, imaginary = quats[..., :1], quats[..., 1:]
+    squared = imaginary.square().sum(-1, keepdim=True)
+    small = squared < SMALL_ANGLE**2
+    length = torch.where(small, torch.ones_like(squared), squared).sqrt()
+    # 2 atan(s / c) / s, whose series at s = 0 is 2 / c - 2 s^2 / (3 c^3), with c = 1 - s^2 / 2.
+    factor = torch.where(small, 2 + squared / 3, 2 * torch.atan2(length, real) / length)
+    return factor * imaginary
+
+
+def quat_to_matrix(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
+    """Turn quaternions into rotation matrices; quaternions are normalised first."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, dim=-1).reshape(*quats.shape[:-1], 3, 3)
+
+
+def matrix_to_quat(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
+    """Turn rotation matrices into unit quaternions with non-negative real part.
+
+    Of the four ways to divide, the one with the largest divisor is taken, so that the result is
+    accurate near half turns too.
+    """
+    m = matrices.flatten(-2)
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = m.unbind(-1)
+    candidates = torch.stack(
+        [
+            torch.stack([1 + xx + yy + zz, zy - yz, xz - zx, yx - xy], -1),
+            torch.stack([zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx], -1),
+            torch.stack([xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz], -1),
+            torch.stack([yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz], -1),
+        ],
+        -2,
+    )
+    best = candidates.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    index = best[..., None, None].expand(*best.shape, 1, 4)
+    quats = torch.nn.functional.normalize(candidates.gather(-2, index).squeeze(-2), dim=-1)
+    return torch.where(quats[..., :1] < 0, -quats, quats)
+
+
+def axis_angle_to_matrix(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Turn axis-angle vectors into rotation matrices."""
+    return quat_to_matrix(axis_angle_to_quat(axis_angle))
+
+
+def matrix_to_axis_angle(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """Turn rotation matrices into axis-angle vectors of angle at most pi."""
+    return quat_to_axis_angle(matrix_to_quat(matrices))
+
+
+def quat_multiply(
+    a: Float[Tensor, "*batch 4"], b: Float[Tensor, "*batch 4"]
+) -> Float[Tensor, "*batch 4"]:
+    """Compose rotations: first `b`, then `a` (Hamilton's product)."""
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )
+
+
+def quat_conjugate(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
+    """Invert rotations given as unit quaternions."""
+    return quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
+
+
+def slerp(
+    start: Float[Tensor, "*batch 4"], end: Float[Tensor, "*batch 4"], u: Float[Tensor, " S"]
+) -> Float[Tensor, "S *batch 4"]:
+    """Turn from `start` (u = 0) to `end` (u = 1) along the shorter arc at constant speed.
+
+    Source: Deblur-Avatar (arXiv 2501.13335) eq. 6 with its two weights put the right way round
+    and the double cover of rotations by quaternions resolved. Written as start * (start^-1 end)^u,
+    which has finite, exact gradients where both ends are equal, where the usual form divides 0 / 0.
+    """
+    step = quat_to_axis_angle(quat_multiply(quat_conjugate(start), end))
+    parts = axis_angle_to_quat(u.reshape(-1, *[1] * step.ndim) * step)
+    return quat_multiply(start.expand_as(parts), parts)

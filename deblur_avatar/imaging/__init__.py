@@ -1,0 +1,1 @@
+"""How light becomes pixels."""

@@ -1,0 +1,111 @@
+"""A stage's bookends: arguments, seed, device, log, progress, measurements."""
+
+import argparse
+import hashlib
+import inspect
+import json
+import logging
+import math
+import os
+import random
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from deblur_avatar.errors import ArtifactError, ConfigError
+
+T = TypeVar("T")
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Context:
+    """Where a stage runs and what it draws from."""
+
+    device: torch.device
+    generator: torch.Generator
+    seed: int
+
+
+def command(main: Callable[..., None]) -> None:
+    """Run a stage's `main` with its parameters as command-line options, all required.
+
+    A caller's mistake (`ConfigError`, `ArtifactError`) becomes one line and exit code 1.
+    """
+    parser = argparse.ArgumentParser(description=inspect.getdoc(main))
+    for name, parameter in inspect.signature(main).parameters.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=parameter.annotation, required=True)
+    arguments = vars(parser.parse_args())
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    try:
+        main(**arguments)
+    except (ConfigError, ArtifactError) as error:
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        raise SystemExit(1) from None
+
+
+@contextmanager
+def stage(name: str, item: str, seed: int) -> Iterator[Context]:
+    """Log a stage's start and end, seed it and choose its device.
+
+    `DEBLUR_AVATAR_DEVICE` names the device; without it a GPU is used where there is one. Each stage
+    and item derives its own seed, so adding a stage does not reshuffle the others.
+    """
+    derived = derive_seed(seed, name, item)
+    default = "cuda" if torch.cuda.is_available() else "cpu"
+    device = torch.device(os.environ.get("DEBLUR_AVATAR_DEVICE", default))
+    random.seed(derived)
+    np.random.seed(derived)
+    torch.manual_seed(derived)
+    torch.use_deterministic_algorithms(True, warn_only=device.type != "cpu")
+    generator = torch.Generator(device=device).manual_seed(derived)
+    logger.info("%s %s: start, device %s, seed %d", name, item, device, derived)
+    begin = time.perf_counter()
+    yield Context(device=device, generator=generator, seed=derived)
+    took = time.perf_counter() - begin
+    logger.info("%s %s: done in %.1f s, %.0f MB", name, item, took, peak_memory_mb())
+
+
+def derive_seed(seed: int, *names: str) -> int:
+    """Derive one seed per stage and item, the same on every machine (unlike `hash`)."""
+    digest = hashlib.sha256("/".join([str(seed), *names]).encode()).digest()
+    return int.from_bytes(digest[:4], "big")
+
+
+def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
+    """Show how far a loop is, on a terminal only."""
+    return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, megabytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write numbers as JSON in one move, rounded to 6 significant digits; NaN becomes null."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}.part")
+    scratch.write_text(json.dumps(_rounded(content), indent=1) + "\n")
+    scratch.replace(path)
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _rounded(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
