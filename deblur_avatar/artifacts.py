@@ -124,6 +124,7 @@ class Clip(Artifact):
     true_blur_linear: UInt8[Tensor, "E H W 3"] | None
     true_blur_mattes: UInt8[Tensor, "E H W"] | None
     frame_indices: tuple[int, ...] | None  # E frame numbers of the true blur
+    true_blur_exposure: float | None  # seconds its shutter was open: window / (factor * fps)
 
     def validate(self) -> None:
         """Refuse a training camera that was not recorded, times that do not increase."""

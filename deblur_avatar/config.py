@@ -4,10 +4,19 @@ Every default lives in `params.yaml`, none here. Unknown keys, missing keys, wro
 out of range are errors that name the key. One class a section, in the order of the pipeline.
 """
 
+import os
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
@@ -84,6 +93,7 @@ class MultiviewParams(Params):
     videos: tuple[str, ...]
     calibration: str
     frame_offsets: tuple[int, ...]
+    principal_point_shifts: tuple[tuple[float, float], ...]  # added, pixels of the video
     frames: tuple[int, int]  # first, one past last
     image_height: Count  # frames are scaled to this height
     train_camera: Annotated[int, Field(ge=0)]
@@ -116,7 +126,151 @@ class PreprocessParams(Params):
     masks: Literal["given", "estimated"]
     background: Literal["none", "median"]  # what is taken away behind a soft matte
     margin: NonNegative  # of the crop, as a share of the person's box
-    validation_stride: Count  # every so-manieth frame is set aside
+    validation_stride: Annotated[int, Field(ge=2)]  # every so-manieth frame is set aside
+
+
+# --- avatar and its fitting ---------------------------------------------------------------------
+
+
+class ScheduleParams(Params):
+    """How much work a run is: when each stage ends, and how large the avatar and its pictures are."""
+
+    warmup: Count  # iterations
+    trajectory: Count
+    fusion: Count
+    gaussians: Count
+    image_height: Annotated[int, Field(ge=8)]  # pixels
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "ScheduleParams":
+        if not self.warmup < self.trajectory < self.fusion:
+            raise ValueError("warmup < trajectory < fusion must hold")
+        return self
+
+
+class NonRigidParams(Params):
+    """The network that moves clothes with the pose."""
+
+    bins: Count  # of the one-blob encoding, per axis
+    hidden: tuple[Count, ...]
+    codes: Annotated[int, Field(ge=0)]  # numbers handed on to the colours
+
+
+class SkinningParams(Params):
+    """The network that learns blend weights; None means the body's own."""
+
+    hidden: tuple[Count, ...]
+    pretrain: Annotated[int, Field(ge=0)]  # iterations on the body's own weights before anything
+
+
+class ColorParams(Params):
+    """The network that colours; None means one colour a Gaussian."""
+
+    features: Count
+    hidden: tuple[Count, ...]
+    latent: Count
+    view_noise_degrees: NonNegative
+
+
+class ModelParams(Params):
+    """Which parts an avatar is composed of."""
+
+    nonrigid: NonRigidParams | None
+    skinning: SkinningParams | None
+    color: ColorParams | None
+
+
+class LossParams(Params):
+    """Weights of the terms of the objective."""
+
+    l1: NonNegative
+    structure: NonNegative  # 1 - SSIM inside the person's box
+    mask: NonNegative
+    skinning_early: NonNegative  # until `skinning_switch`
+    skinning_late: NonNegative
+    isotropy_means: NonNegative  # neighbours keep their distances
+    isotropy_covars: NonNegative
+
+
+class DensifyParams(Params):
+    """Where Gaussians are added and taken away."""
+
+    start: Count
+    stop: Count
+    every: Count
+    gradient: Positive  # of the screen position, in half image widths
+    clone_below_m: Positive
+    prune_opacity: Fraction
+    prune_scale_m: Positive
+    most: Positive  # times the first count
+
+
+class OptimiserParams(Params):
+    """Learning rates, and when what starts. Iterations count as in the paper's 15,000."""
+
+    means: Positive
+    means_final: Positive
+    features: Positive
+    opacities: Positive
+    scales: Positive
+    quats: Positive
+    rigid: Positive
+    nonrigid: Positive
+    color: Positive
+    latent_decay: NonNegative
+    poses: Positive
+    fusion: Positive
+    final_share: Fraction  # of the networks' rates at the end
+    clip: Positive  # norm of all networks' gradients
+    gaussians_start: Annotated[int, Field(ge=0)]
+    nonrigid_start: Annotated[int, Field(ge=0)]
+    skinning_switch: Annotated[int, Field(ge=0)]
+    pose_noise: NonNegative  # of the conditioning rotations, in half of the steps
+
+
+class StartParams(Params):
+    """What an avatar is made of and how it is fitted; methods that agree on it share a warm-up."""
+
+    model: ModelParams
+    optimiser: OptimiserParams
+    losses: LossParams
+    densify: DensifyParams
+
+
+class TrajectoryParams(Params):
+    """How the body moves while the shutter is open, and what the frame is compared with."""
+
+    motion: Literal["fixed", "frame", "pair"]
+    virtual_poses: Count
+    quadrature: Literal["endpoints", "midpoints"]
+    start_noise: NonNegative  # radians; parts start from end
+    supervision: Literal["sharp", "mean"]
+    mask: Literal["mean", "union", "centre"]
+
+
+class FusionNetworkParams(Params):
+    """The paper's per-pixel blend of the sharp and the averaged render."""
+
+    hidden: tuple[Count, ...]
+    frame_codes: Count
+    color_features: Count
+
+
+class FusionParams(Params):
+    """The last stage: what the frame is compared with from here on."""
+
+    supervision: Literal["sharp", "mean", "fused"]
+    mask: Literal["mean", "union", "centre"]
+    network: FusionNetworkParams | None
+
+
+class RunParams(Params):
+    """One method on one scene: which frames it sees and which warm-up it goes on from."""
+
+    scene: str
+    observations: Literal["exact", "sharp", "blurred"]
+    start: str
+    method: str
 
 
 # --- the loader ---------------------------------------------------------------------------------
@@ -149,6 +303,24 @@ def parse(kind: Any, value: Any, where: str) -> Any:
     except ValidationError as error:
         complaints = [_complaint(item) for item in error.errors()]
         raise ConfigError(f"{where}: " + "; ".join(complaints)) from None
+
+
+def expand_environment(text: str, where: str) -> str:
+    """Replace `${VARIABLE}` and `${VARIABLE:-default}` by what the environment holds.
+
+    An empty variable counts as unset, as in a shell.
+
+    Raises:
+        ConfigError: naming `where`, for a variable that is not set and has no default.
+    """
+
+    def value(match: re.Match[str]) -> str:
+        found = os.environ.get(match["name"]) or match["default"]
+        if found is None:
+            raise ConfigError(f"{where}: set the environment variable {match['name']}, it is empty")
+        return found
+
+    return re.sub(r"\$\{(?P<name>\w+)(?::-(?P<default>[^}]*))?\}", value, text)
 
 
 def read_yaml(path: Path) -> Any:

@@ -11,7 +11,7 @@ import random
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,6 +85,22 @@ def derive_seed(seed: int, *names: str) -> int:
 def progress(items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
     """Show how far a loop is, on a terminal only."""
     return tqdm(items, desc=description, total=total, disable=not sys.stderr.isatty(), leave=False)
+
+
+def fitting_progress(description: str, last: int) -> Callable[[int, Mapping[str, float]], None]:
+    """A callback for fitting loops: a bar on a terminal, a log line every tenth of the way."""
+    bar = tqdm(total=last, desc=description, disable=not sys.stderr.isatty(), leave=False)
+    every = max(last // 10, 1)
+
+    def report(iteration: int, losses: Mapping[str, float]) -> None:
+        bar.update(iteration - bar.n)
+        if iteration % every == 0 or iteration == last:
+            terms = " ".join(f"{name} {value:.4f}" for name, value in losses.items())
+            logger.info("%s %d/%d: %s", description, iteration, last, terms)
+        if iteration == last:
+            bar.close()
+
+    return report
 
 
 def peak_memory_mb() -> float:

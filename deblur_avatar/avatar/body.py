@@ -36,7 +36,16 @@ def joint_transforms(
 ) -> Float[Tensor, "*batch J 4 4"]:
     """Rest-to-posed transforms of all joints."""
     axis_angle = torch.cat([global_orient[..., None, :], body_pose], dim=-2)
-    rotations = axis_angle_to_matrix(axis_angle)
+    return transforms_from_rotations(body, betas, axis_angle_to_matrix(axis_angle), transl)
+
+
+def transforms_from_rotations(
+    body: Body,
+    betas: Float[Tensor, " B"],
+    rotations: Float[Tensor, "*batch J 3 3"],
+    transl: Float[Tensor, "*batch 3"],
+) -> Float[Tensor, "*batch J 4 4"]:
+    """Rest-to-posed transforms from each joint's rotation relative to its parent."""
     return forward_kinematics(rotations, shaped_joints(body, betas), transl, body.parents)
 
 

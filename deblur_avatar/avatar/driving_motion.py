@@ -1,0 +1,87 @@
+"""Motion that comes from elsewhere, to drive an avatar.
+
+Conventions. The world has +Y up. Frames are equally spaced, `fps` of them a second. F frames,
+J joints of a source skeleton, parents before children.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.geometry.rotations import (
+    axis_angle_to_quat,
+    quat_conjugate,
+    quat_multiply,
+    quat_to_axis_angle,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyMotion:
+    """Poses of SMPL's 24 joints over time: axis-angle, radians, metres."""
+
+    fps: float
+    global_orient: Float[Tensor, "F 3"]
+    body_pose: Float[Tensor, "F 23 3"]
+    transl: Float[Tensor, "F 3"]
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first frame to the last."""
+        return (len(self.transl) - 1) / self.fps
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkeletonMotion:
+    """A named skeleton of any rest pose in motion, in the file's own axes and unit of length.
+
+    `rotations` turn each joint relative to its parent; `offsets` lead from the parent to the joint
+    while all rotations are the identity. Leaves may be mere ends of bones.
+    """
+
+    fps: float
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Float[Tensor, "J 3"]
+    rotations: Float[Tensor, "F J 3 3"]
+    root_positions: Float[Tensor, "F 3"]
+
+
+def resample(motion: BodyMotion, fps: float, start: float, seconds: float) -> BodyMotion:
+    """Cut out `seconds` from `start` on and show them at another frame rate.
+
+    Rotations turn along the shorter arc between frames, places move in straight lines. A motion that
+    ends earlier gives fewer frames, at least one.
+
+    Raises:
+        ValueError: if the motion ends before `start`.
+    """
+    if start > motion.seconds:
+        raise ValueError(f"the motion lasts {motion.seconds:.2f} s, it cannot start at {start:g} s")
+    length = min(seconds, motion.seconds - start)
+    count = math.floor(length * fps + 1e-6) + 1  # a frame that is late by rounding still counts
+    places = (start + torch.arange(count, dtype=torch.float64) / fps) * motion.fps
+    before = places.floor().long().clamp(max=len(motion.transl) - 1)
+    after = (before + 1).clamp(max=len(motion.transl) - 1)
+    share = (places - before).to(motion.transl.dtype)
+    return BodyMotion(
+        fps=fps,
+        global_orient=_turn(motion.global_orient[before], motion.global_orient[after], share),
+        body_pose=_turn(motion.body_pose[before], motion.body_pose[after], share),
+        transl=torch.lerp(motion.transl[before], motion.transl[after], share[:, None]),
+    )
+
+
+def _turn(
+    start: Float[Tensor, "F *joints 3"],
+    end: Float[Tensor, "F *joints 3"],
+    share: Float[Tensor, " F"],
+) -> Float[Tensor, "F *joints 3"]:
+    """Slerp with a share of its own for each frame, axis-angle in and out."""
+    first = axis_angle_to_quat(start)
+    step = quat_to_axis_angle(quat_multiply(quat_conjugate(first), axis_angle_to_quat(end)))
+    part = axis_angle_to_quat(share.reshape(-1, *[1] * (step.ndim - 1)) * step)
+    return quat_to_axis_angle(quat_multiply(first, part))

@@ -1,0 +1,99 @@
+"""Gaussians that dress a body: where they start and what is stored of them.
+
+Conventions. What is optimised is unconstrained (`log_scales`, `opacity_logits`, raw `quats`); what
+is drawn is derived from it. Canonical space, metres, quaternions wxyz.
+"""
+
+import torch
+from jaxtyping import Float, Int64
+from scipy.spatial import cKDTree
+from torch import Tensor, nn
+
+FIRST_OPACITY = 0.1  # 3DGS, Kerbl et al. 2023
+SCALE_NEIGHBOURS = 3  # a Gaussian starts as wide as it is far from these many others
+SMALLEST_SPACING = 1e-7  # square metres
+
+
+class Gaussians(nn.Module):
+    """The optimised parameters of N canonical Gaussians."""
+
+    def __init__(
+        self,
+        means: Float[Tensor, "N 3"],
+        quats: Float[Tensor, "N 4"],
+        log_scales: Float[Tensor, "N 3"],
+        opacity_logits: Float[Tensor, " N"],
+        features: Float[Tensor, "N D"],
+    ) -> None:
+        super().__init__()
+        self.means = nn.Parameter(means)
+        self.quats = nn.Parameter(quats)
+        self.log_scales = nn.Parameter(log_scales)
+        self.opacity_logits = nn.Parameter(opacity_logits)
+        self.features = nn.Parameter(features)
+
+    @property
+    def scales(self) -> Float[Tensor, "N 3"]:
+        """Standard deviations, metres."""
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> Float[Tensor, " N"]:
+        """Peak opacities in (0, 1)."""
+        return self.opacity_logits.sigmoid()
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+
+def gaussians_on_surface(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int64[Tensor, "T 3"],
+    count: int,
+    features: int,
+    generator: torch.Generator,
+) -> Gaussians:
+    """Spread Gaussians evenly over a mesh, as wide as they are apart.
+
+    Args:
+        vertices: canonical positions, metres.
+        faces: triangles.
+        count: how many.
+        features: appearance numbers of each, zero at first.
+        generator: of the random positions.
+    """
+    means = sample_surface(vertices, faces, count, generator)[0]
+    squared = neighbour_distances(means, SCALE_NEIGHBOURS).square().mean(1)
+    log_scales = squared.clamp(min=SMALLEST_SPACING).sqrt().log()[:, None].repeat(1, 3)
+    quats = means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
+    opacity = means.new_full((count,), FIRST_OPACITY).logit()
+    return Gaussians(means, quats, log_scales, opacity, means.new_zeros(count, features))
+
+
+def sample_surface(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int64[Tensor, "T 3"],
+    count: int,
+    generator: torch.Generator,
+) -> tuple[Float[Tensor, "N 3"], Int64[Tensor, " N"], Float[Tensor, "N 3"]]:
+    """Draw points uniformly over a mesh: positions, triangles, barycentric coordinates."""
+    corners = vertices[faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    areas = torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=-1)
+    chosen = torch.multinomial(areas, count, replacement=True, generator=generator)
+    uv = torch.rand(count, 2, generator=generator, dtype=vertices.dtype, device=vertices.device)
+    root = uv[:, :1].sqrt()
+    weights = torch.cat([1 - root, root * (1 - uv[:, 1:]), root * uv[:, 1:]], dim=1)
+    return (weights[..., None] * corners[chosen]).sum(1), chosen, weights
+
+
+def neighbour_indices(points: Float[Tensor, "N 3"], count: int) -> Int64[Tensor, "N K"]:
+    """The `count` nearest other points of each point."""
+    positions = points.detach().cpu().double().numpy()
+    _, index = cKDTree(positions).query(positions, k=min(count + 1, len(positions)), workers=-1)
+    return torch.as_tensor(index, device=points.device).reshape(len(points), -1)[:, 1:]
+
+
+def neighbour_distances(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "N K"]:
+    """Distances to the `count` nearest other points, metres."""
+    return (points[neighbour_indices(points, count)] - points[:, None]).norm(dim=-1)

@@ -1,0 +1,87 @@
+"""How much each joint moves each point of canonical space.
+
+Conventions. Points are in the canonical box, [-1, 1] along each axis. Weights are non-negative, and
+each row sums to 1.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+from torch import Tensor, nn
+
+from deblur_avatar.artifacts import Body
+from deblur_avatar.avatar.networks import ConditionedMLP
+
+NEIGHBOURS = 4  # surface vertices that a point off the surface takes its weights from
+
+
+class SkinningField(nn.Module):
+    """A network from a canonical point to blend weights over the kinematic tree.
+
+    Mass starts at the root; each joint keeps a share and passes the rest to its children, so that
+    a point can only belong to a hand through its arm.
+
+    Source: 3DGS-Avatar's skinning network (4 layers of 128) with ARAH's hierarchical softmax.
+    """
+
+    def __init__(self, parents: tuple[int, ...], hidden: Sequence[int]) -> None:
+        super().__init__()
+        children = [[j for j, p in enumerate(parents) if p == joint] for joint in range(len(parents))]
+        inner = [joint for joint, below in enumerate(children) if below]
+        # One logit a child for how a joint's outgoing mass is shared, one a parent for how much.
+        self._shares = [below for below in children if below]
+        self._inner = inner
+        self._shared = [child for below in self._shares for child in below]
+        self.network = ConditionedMLP(3, 0, hidden, len(self._shared) + len(inner))
+        # log w_j = log keep_j + sum over the edges on the path from the root of log pass.
+        paths = torch.zeros(len(self._shared), len(parents))
+        leaves = torch.zeros(len(inner), len(parents))
+        passed = torch.zeros(len(inner), len(parents))
+        for joint in range(len(parents)):
+            if joint in inner:
+                leaves[inner.index(joint), joint] = 1
+            node = joint
+            while parents[node] >= 0:
+                paths[self._shared.index(node), joint] = 1
+                passed[inner.index(parents[node]), joint] = 1
+                node = parents[node]
+        self.register_buffer("paths", paths, persistent=False)
+        self.register_buffer("leaves", leaves, persistent=False)
+        self.register_buffer("passed", passed, persistent=False)
+
+    def forward(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P J"]:
+        """Blend weights at each point."""
+        return self.from_logits(self.network(points))
+
+    def from_logits(self, logits: Float[Tensor, "P L"]) -> Float[Tensor, "P J"]:
+        """Turn the network's outputs into weights that sum to 1."""
+        shares, gates = logits[:, : len(self._shared)], logits[:, len(self._shared) :]
+        groups = [
+            part.log_softmax(-1) if part.shape[1] > 1 else torch.zeros_like(part)
+            for part in shares.split([len(below) for below in self._shares], dim=1)
+        ]
+        keep = nn.functional.logsigmoid(-gates)
+        move = nn.functional.logsigmoid(gates)
+        return (torch.cat(groups, 1) @ self.paths + keep @ self.leaves + move @ self.passed).exp()
+
+
+def surface_weights(
+    points: Float[Tensor, "P 3"], vertices: Float[Tensor, "V 3"], body: Body
+) -> Float[Tensor, "P J"]:
+    """Blend weights of points near the body's surface: those of the nearest vertices.
+
+    Args:
+        points: canonical positions, metres.
+        vertices: the body's vertices in the same pose.
+        body: whose weights they are.
+    """
+    distance, index = cKDTree(vertices.cpu().numpy()).query(
+        points.detach().cpu().numpy(), k=min(NEIGHBOURS, len(vertices)), workers=-1
+    )
+    nearness = 1 / (torch.as_tensor(distance).to(points) + 1e-4)
+    nearness = nearness.reshape(len(points), -1) / nearness.reshape(len(points), -1).sum(1, True)
+    rows = torch.as_tensor(index).reshape(len(points), -1)
+    weights = body.lbs_weights[rows].to(points)
+    return (nearness[..., None] * weights).sum(1)

@@ -1,0 +1,386 @@
+"""The optimisation of an avatar and its motion against one camera's frames.
+
+Conventions. Iterations count from 1 over all three stages of a run. Settings that say when something
+starts count in the paper's 15,000 iterations and are scaled to the schedule.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.artifacts import Checkpoint, Observations
+from deblur_avatar.avatar.gaussians import neighbour_indices, sample_surface
+from deblur_avatar.avatar.model import (
+    AvatarModel,
+    Dressed,
+    encode,
+    pose_gaussians,
+)
+from deblur_avatar.avatar.motion import Instants, Trajectory
+from deblur_avatar.config import ScheduleParams, StartParams
+from deblur_avatar.fitting import losses
+from deblur_avatar.fitting.densify import Densifier
+from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
+
+logger = logging.getLogger(__name__)
+
+Report = Callable[[int, Mapping[str, float]], None]
+
+PAPER_ITERATIONS = 15_000  # arXiv 2501.13335, sec. IV-A
+ISOTROPY_NEIGHBOURS = 4  # 3DGS-Avatar: five nearest, the point itself among them
+NEIGHBOUR_REFRESH = 100  # steps; canonical positions move by less than their spacing in between
+SKINNING_SAMPLES = 1024  # points on the body a step (3DGS-Avatar)
+PRETRAIN_SAMPLES = 4096
+PRETRAIN_RATE = 2e-3
+BOX_MARGIN = 8  # pixels around the person in which structure is compared
+ADAM_EPSILON = 1e-15  # 3DGS: gradients of means are tiny
+POSE_NOISE_SHARE = 0.5  # of the steps have noise on the conditioning pose (3DGS-Avatar)
+
+
+@dataclass(frozen=True)
+class Target:
+    """One training frame: what was seen, and where the person is in it."""
+
+    image: Float[Tensor, "H W 3"]
+    matte: Float[Tensor, "H W"]
+    box: tuple[int, int, int, int]
+
+
+class AvatarFit:
+    """All unknowns, their optimisers, and one step of gradient descent."""
+
+    def __init__(
+        self,
+        model: AvatarModel,
+        trajectory: Trajectory,
+        observations: Observations,
+        params: StartParams,
+        schedule: ScheduleParams,
+        device: torch.device,
+        generator: torch.Generator,
+        fusion: FusionNetwork | None = None,
+    ) -> None:
+        self.model, self.trajectory, self.fusion = model, trajectory, fusion
+        self._params, self._schedule = params, schedule
+        self._device, self._generator = device, generator
+        self._scale = schedule.fusion / PAPER_ITERATIONS
+        camera = observations.train_camera
+        self._K = observations.cameras.Ks[camera].to(device)
+        self._viewmat = observations.cameras.viewmats[camera].to(device)
+        self._targets = {
+            index: _target(observations, index, device)
+            for index in observations.train
+            if observations.weights[index] > 0
+        }
+        self._queue: list[int] = []
+        self._neighbours: Tensor | None = None
+        self._gaussian_optimiser = _gaussian_optimiser(model, params)
+        self._network_optimiser = _network_optimiser(model, trajectory, fusion, params)
+        self._network_rates = [group["lr"] for group in self._network_optimiser.param_groups]
+        self._densifier = Densifier(len(model.gaussians), device)
+
+    def pretrain_skinning(self, iterations: int) -> None:
+        """Teach the skinning network the body's own weights before it has to bend anything.
+
+        In the paper's 3,000 steps of warm-up it learns them on the way; a short schedule cannot
+        wait for that.
+        """
+        if self._params.model.skinning is None:
+            return
+        optimiser = torch.optim.Adam(self.model.skinning.parameters(), lr=PRETRAIN_RATE)
+        decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(iterations, 1))
+        for _ in range(iterations):
+            optimiser.zero_grad()
+            self._skinning_loss(PRETRAIN_SAMPLES).backward()
+            optimiser.step()
+            decay.step()
+
+    def run(
+        self, first: int, last: int, supervision: str, mask: str, report: Report
+    ) -> float:
+        """Optimise from iteration `first` to `last` inclusive; returns seconds spent.
+
+        Args:
+            first: first iteration.
+            last: last iteration.
+            supervision: what frames are compared with: the sharp render, the mean over the
+                virtual instants, or the fusion network's blend of the two.
+            mask: which coverage is compared with the matte: mean, union or centre.
+            report: called after every iteration with its losses.
+        """
+        begin = time.perf_counter()
+        for iteration in range(first, last + 1):
+            report(iteration, self.step(iteration, supervision, mask))
+        return time.perf_counter() - begin
+
+    def step(self, iteration: int, supervision: str, mask: str) -> dict[str, float]:
+        """One iteration on one random frame."""
+        self._schedule_rates(iteration)
+        index = self._next_frame()
+        target = self._targets[index]
+        instants = self.trajectory(index)
+        dressed = self._dress(iteration, index, instants)
+        if supervision == "sharp":
+            rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
+        else:
+            rotations, transl = instants.rotations, instants.transl
+        transforms = self.model.transforms(rotations, transl)
+        centre = transforms[0] if supervision == "sharp" else self._centre_transforms(instants)
+        noise = self.model.view_noise(self._generator)
+        colors = self.model.colors(dressed, centre, self._viewmat, noise)
+        whole = mask == "mean" and supervision != "fused"
+        means, covars = pose_gaussians(dressed, transforms)
+        drawn = self._rasterize(means, covars, colors, target, average=whole)
+        image = drawn.image.mean(0)
+        alpha = drawn.alpha.mean(0)
+        if mask == "union":
+            alpha = 1 - (1 - drawn.alpha).prod(0)
+        if supervision == "fused" or mask == "centre":
+            posed = pose_gaussians(dressed, centre[None])
+            sharp = self._rasterize(*posed, colors, target, average=False)
+            if mask == "centre":
+                alpha = sharp.alpha[0]
+            if supervision == "fused" and self.fusion is not None:
+                assert dressed.pose_code is not None
+                blend = self.fusion(sharp.image[0], dressed.pose_code, index, target.box)
+                image = (1 - blend) * sharp.image[0] + blend * image
+        terms = self._losses(iteration, image, alpha, target)
+        middle = len(means) // 2
+        terms |= self._isotropy(iteration, means[middle], covars[middle])
+        total = torch.stack(list(terms.values())).sum()
+        self._descend(iteration, total)
+        self._densify(iteration, drawn, target)
+        return {name: float(value.detach()) for name, value in terms.items()}
+
+    def checkpoint(self, iteration: int) -> Checkpoint:
+        """What the next stage needs to go on as if nothing had happened."""
+        tensors: dict[str, Tensor] = {}
+        for name, optimiser in self._optimisers().items():
+            for group in optimiser.param_groups:
+                memory = optimiser.state.get(group["params"][0], {})
+                for key, value in memory.items():
+                    tensors[f"{name}.{group['name']}.{key}"] = value
+        for key, value in self._densifier.state().items():
+            tensors[f"densifier.{key}"] = value
+        return Checkpoint(iteration=iteration, tensors=tensors)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Take over an earlier stage's memory; unknowns that are new start without any."""
+        for name, optimiser in self._optimisers().items():
+            for group in optimiser.param_groups:
+                parameter = group["params"][0]
+                prefix = f"{name}.{group['name']}."
+                memory = {
+                    key.removeprefix(prefix): value.to(parameter.device)
+                    for key, value in checkpoint.tensors.items()
+                    if key.startswith(prefix)
+                }
+                if memory and memory["exp_avg"].shape == parameter.shape:
+                    optimiser.state[parameter] = memory
+        self._densifier.restore(
+            {
+                key.removeprefix("densifier."): value
+                for key, value in checkpoint.tensors.items()
+                if key.startswith("densifier.")
+            }
+        )
+
+    def _dress(self, iteration: int, index: int, instants: Instants) -> Dressed:
+        noise = None
+        std = self._params.optimiser.pose_noise
+        if std > 0 and self._params.model.nonrigid is not None:
+            chance = torch.rand(1, generator=self._generator, device=self._device)
+            draw = torch.randn(
+                instants.centre_rotations.shape, generator=self._generator, device=self._device
+            )
+            noise = draw * std * (chance < POSE_NOISE_SHARE)
+        deform = iteration > self._params.optimiser.nonrigid_start * self._scale
+        return self.model.dress(
+            instants.centre_rotations, index, deform=deform, pose_noise=noise
+        )
+
+    def _centre_transforms(self, instants: Instants) -> Tensor:
+        return self.model.transforms(
+            instants.centre_rotations[None], instants.centre_transl[None]
+        )[0]
+
+    def _rasterize(
+        self, means: Tensor, covars: Tensor, colors: Tensor, target: Target, average: bool
+    ) -> Rasterization:
+        height, width = target.matte.shape
+        return rasterize(
+            means, covars, self.model.gaussians.opacities, colors, self._viewmat, self._K,
+            width, height, average=average,
+        )  # fmt: skip
+
+    def _losses(
+        self,
+        iteration: int,
+        image: Tensor,
+        alpha: Tensor,
+        target: Target,
+    ) -> dict[str, Tensor]:
+        weights = self._params.losses
+        encoded = encode(image, self.model.light)
+        terms = {"l1": weights.l1 * losses.photometric(encoded, target.image)}
+        if weights.structure > 0:
+            terms["structure"] = weights.structure * losses.structure(
+                encoded, target.image, target.box
+            )
+        terms["mask"] = weights.mask * losses.coverage(alpha, target.matte)
+        if self._params.model.skinning is not None:
+            early = iteration <= self._params.optimiser.skinning_switch * self._scale
+            share = weights.skinning_early if early else weights.skinning_late
+            terms["skinning"] = share * self._skinning_loss(SKINNING_SAMPLES)
+        return terms
+
+    def _isotropy(
+        self, iteration: int, posed_means: Tensor, posed_covars: Tensor
+    ) -> dict[str, Tensor]:
+        weights = self._params.losses
+        if weights.isotropy_means == 0 and weights.isotropy_covars == 0:
+            return {}
+        count = len(self.model.gaussians)
+        stale = self._neighbours is None or len(self._neighbours) != count
+        if stale or iteration % NEIGHBOUR_REFRESH == 0:
+            self._neighbours = neighbour_indices(self.model.gaussians.means, ISOTROPY_NEIGHBOURS)
+        near = self._neighbours
+        canonical = self.model.gaussians.means, self.model.canonical_covariances()
+        return {
+            "isotropy_means": weights.isotropy_means
+            * losses.isotropy_of_means(canonical[0], posed_means, near),
+            "isotropy_covars": weights.isotropy_covars
+            * losses.isotropy_of_covars(canonical[1], posed_covars, near),
+        }
+
+    def _skinning_loss(self, samples: int) -> Tensor:
+        body = self.model.body
+        vertices = self.model.canonical_vertices
+        faces = body.faces.to(self._device)
+        points, chosen, corners = sample_surface(vertices, faces, samples, self._generator)
+        own = body.lbs_weights.to(self._device)[faces[chosen]]
+        wanted = (corners[..., None] * own).sum(1)
+        return losses.skinning(self.model.weights_at(points), wanted)
+
+    def _descend(self, iteration: int, total: Tensor) -> None:
+        total.backward()
+        if iteration > self._params.optimiser.gaussians_start * self._scale:
+            self._gaussian_optimiser.step()
+        networks = [
+            parameter
+            for group in self._network_optimiser.param_groups
+            for parameter in group["params"]
+            if group["name"].startswith("network") and parameter.grad is not None
+        ]
+        if networks:
+            torch.nn.utils.clip_grad_norm_(networks, self._params.optimiser.clip)
+        self._network_optimiser.step()
+        self._gaussian_optimiser.zero_grad()
+        self._network_optimiser.zero_grad()
+
+    def _densify(self, iteration: int, drawn: Rasterization, target: Target) -> None:
+        params = self._params.densify
+        if not params.start * self._scale < iteration < params.stop * self._scale:
+            return
+        height, width = target.matte.shape
+        self._densifier.observe(drawn.screen.means2d_grad, drawn.radii, width, height)
+        if iteration % max(round(params.every * self._scale), 1) == 0:
+            self._densifier.edit(
+                self.model.gaussians, self._gaussian_optimiser, params, self._generator
+            )
+
+    def _schedule_rates(self, iteration: int) -> None:
+        rates = self._params.optimiser
+        share = iteration / self._schedule.fusion
+        for group in self._gaussian_optimiser.param_groups:
+            if group["name"] == "means":
+                # Log-linear over twice the paper's run, as in the authors' code.
+                group["lr"] = rates.means * (rates.means_final / rates.means) ** (share / 2)
+        for group, rate in zip(
+            self._network_optimiser.param_groups, self._network_rates, strict=True
+        ):
+            if not group["name"].startswith("fusion."):
+                group["lr"] = rate * rates.final_share**share
+
+    def _next_frame(self) -> int:
+        if not self._queue:
+            frames = list(self._targets)
+            order = torch.randperm(
+                len(frames), generator=self._generator, device=self._device
+            ).tolist()
+            self._queue = [frames[position] for position in order]
+        return self._queue.pop()
+
+    def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"gaussians": self._gaussian_optimiser, "networks": self._network_optimiser}
+
+
+def _target(observations: Observations, index: int, device: torch.device) -> Target:
+    image = observations.frames[index].to(device).float() / 255
+    matte = observations.mattes[index].to(device).float() / 255
+    rows, columns = torch.nonzero(matte > 0, as_tuple=True)
+    height, width = matte.shape
+    box = (
+        max(int(columns.min()) - BOX_MARGIN, 0),
+        max(int(rows.min()) - BOX_MARGIN, 0),
+        min(int(columns.max()) + BOX_MARGIN + 1, width),
+        min(int(rows.max()) + BOX_MARGIN + 1, height),
+    )
+    return Target(image, matte, box)
+
+
+def _gaussian_optimiser(model: AvatarModel, params: StartParams) -> torch.optim.Adam:
+    rates = params.optimiser
+    chosen = {
+        "means": rates.means,
+        "quats": rates.quats,
+        "log_scales": rates.scales,
+        "opacity_logits": rates.opacities,
+        "features": rates.features,
+    }
+    groups = [
+        {"params": [value], "lr": chosen[name], "name": name}
+        for name, value in model.gaussians.named_parameters()
+    ]
+    return torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+
+
+def _network_optimiser(
+    model: AvatarModel,
+    trajectory: Trajectory,
+    fusion: FusionNetwork | None,
+    params: StartParams,
+) -> torch.optim.Adam:
+    rates = params.optimiser
+    groups: list[dict[str, object]] = []
+    for prefix, rate in (
+        ("skinning", rates.rigid),
+        ("nonrigid", rates.nonrigid),
+        ("pose_encoder", rates.nonrigid),
+        ("color", rates.color),
+    ):
+        for name, value in model.named_parameters():
+            if name.startswith(f"{prefix}."):
+                decay = rates.latent_decay if "latents" in name else 0.0
+                groups.append(
+                    {
+                        "params": [value], "lr": rate, "weight_decay": decay,
+                        "name": f"network.{name}",
+                    }  # fmt: skip
+                )
+    for name, value in trajectory.named_parameters():
+        if value.requires_grad:
+            groups.append({"params": [value], "lr": rates.poses, "name": f"motion.{name}"})
+    if fusion is not None:
+        for name, value in fusion.named_parameters():
+            groups.append({"params": [value], "lr": rates.fusion, "name": f"fusion.{name}"})
+    if not groups:
+        still = torch.nn.Parameter(torch.zeros(1))
+        groups.append({"params": [still], "lr": 0.0, "name": "nothing"})
+    return torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)

@@ -1,0 +1,5 @@
+"""placeholder while the studio path is tried"""
+
+
+def fit_body(*a):
+    raise NotImplementedError

@@ -1,0 +1,35 @@
+"""The numbers on which all rasterizers agree.
+
+They are gsplat 1.5.3's, because its CUDA kernels have most of them compiled in.
+
+A Gaussian with opacity `o`, projected to the pixel mean `m` and the pixel covariance `S`, has at the
+pixel centre `x` the opacity `alpha = min(MAX_ALPHA, o * exp(-0.5 * (x - m)^T S^-1 (x - m)))`. Pixel
+centres lie at half-integers. Gaussians are composited front to back by the depth of their centres,
+and in their own order where depths are equal; `T`, the transmittance, is the product of
+`1 - alpha` over what has been composited.
+"""
+
+from typing import Final
+
+# Added to both variances of a projected Gaussian, px^2: the low-pass filter of the original
+# 3D Gaussian splatting code, so that no Gaussian is thinner than a pixel.
+EPS2D: Final = 0.3
+
+# Gaussians whose centre is nearer than this are left out, metres (gsplat's default).
+NEAR_PLANE: Final = 0.01
+
+# The Jacobian of the projection is evaluated no farther outside the image than this fraction of its
+# half width (or height): beyond, the linearisation would blow a Gaussian up over the whole image.
+VIEW_MARGIN: Final = 0.3
+
+# No Gaussian hides everything behind it; keeps 1 / (1 - alpha) finite.
+MAX_ALPHA: Final = 0.999
+
+# A fainter contribution cannot change an 8-bit pixel and is skipped.
+MIN_ALPHA: Final = 1.0 / 255.0
+
+# A pixel is finished when the next Gaussian would bring T to this or below; that one is left out.
+MIN_TRANSMITTANCE: Final = 1e-4
+
+# One more than the colours of a picture: what a Gaussian may carry beside its depth.
+MAX_CHANNELS: Final = 4

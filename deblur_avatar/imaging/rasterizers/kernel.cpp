@@ -1,0 +1,1178 @@
+// A differentiable Gaussian rasterizer for CPUs, one lane a pixel or one lane a Gaussian.
+//
+// Three calls make a picture and its gradient. All memory belongs to the caller (cpu.py).
+//
+//   project    one lane a Gaussian. Project to the image, write one 64-byte record each, count how
+//              many Gaussians meet each tile.
+//   forward    Hand the Gaussians to the tiles; then, tile by tile: sort by depth, find which blocks
+//              each Gaussian reaches, and composite block by block, one lane a pixel.
+//   backward   Composite again in the same order, now with the gradient of the picture at hand;
+//              sum each Gaussian's share over pixels; then, one lane a Gaussian, carry the sums back
+//              through the projection.
+//
+// Words. A block is as many pixels as a vector has lanes (L); its compositing state stays in
+// registers. A tile is BLOCKS blocks. A pair is one Gaussian meeting one tile. A visit is one
+// Gaussian meeting one block; whether there is a visit is one bit per pair and block, found exactly
+// (the ellipse alpha >= MIN_ALPHA against the block's rectangle). A slot holds what one pair
+// contributes to the gradient: every pair writes its own, each Gaussian then adds up its own in a
+// fixed order. So there are no atomics, and results do not depend on the number of threads.
+//
+// The exponent is in base 2: alpha = exp2(logo + (a dx + b dy) dx + c dy^2), x to the right.
+//
+// The constants EPS2D, NEAR_PLANE, VIEW_MARGIN, MAX_ALPHA, MIN_ALPHA and MIN_TRANSMITTANCE come from
+// conventions.py by way of the compiler's command line.
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#ifdef _OPENMP
+#include <omp.h>
+#endif
+
+namespace {
+
+// ---------------------------------------------------------------- vectors as wide as the machine's
+
+#if defined(__AVX512F__)
+constexpr int L = 16, BLOCK_W = 4, BLOCK_H = 4, GRID_W = 4, GRID_H = 4;
+#elif defined(__AVX__)
+constexpr int L = 8, BLOCK_W = 4, BLOCK_H = 2, GRID_W = 4, GRID_H = 8;
+#else
+constexpr int L = 4, BLOCK_W = 2, BLOCK_H = 2, GRID_W = 8, GRID_H = 8;
+#endif
+constexpr int BLOCKS = GRID_W * GRID_H, TILE_W = GRID_W * BLOCK_W, TILE_H = GRID_H * BLOCK_H;
+constexpr int TILE_PIXELS = TILE_W * TILE_H;
+static_assert(BLOCK_W * BLOCK_H == L && BLOCKS % L == 0, "a block is one vector of pixels");
+
+typedef float vf __attribute__((vector_size(L * 4)));
+typedef int32_t vi __attribute__((vector_size(L * 4)));
+
+inline vf splat(float x) { return x - vf{}; }
+inline vi splat(int32_t x) { return x - vi{}; }
+inline vf min(vf a, vf b) { return a < b ? a : b; }
+inline vf max(vf a, vf b) { return a > b ? a : b; }
+inline vf clamp(vf x, vf low, vf high) { return max(low, min(x, high)); }
+inline vf abs(vf x) { return (vf)((vi)x & 0x7fffffff); }
+inline vf to_float(vi x) { return __builtin_convertvector(x, vf); }
+inline vi to_int(vf x) { return __builtin_convertvector(x, vi); }
+inline vf only(vi mask, vf x) { return (vf)((vi)x & mask); }
+
+inline vf load(const float* p) {
+  vf v;
+  std::memcpy(&v, p, sizeof v);
+  return v;
+}
+inline void store(float* p, vf v) { std::memcpy(p, &v, sizeof v); }
+
+inline vf sqrt(vf x) {
+  for (int i = 0; i < L; ++i) x[i] = __builtin_sqrtf(x[i]);
+  return x;
+}
+
+// Rounding through integers: exact, and no flag that relaxes arithmetic can undo it.
+inline vf floor(vf x) {
+  const vf n = to_float(to_int(x));
+  return n > x ? n - 1.0f : n;
+}
+inline vf ceil(vf x) {
+  const vf n = to_float(to_int(x));
+  return n < x ? n + 1.0f : n;
+}
+
+inline bool any(vi mask) {
+  constexpr int words = sizeof(vi) / 8;
+  uint64_t w[words], all = 0;
+  std::memcpy(w, &mask, sizeof mask);
+  for (int i = 0; i < words; ++i) all |= w[i];
+  return all != 0;
+}
+
+// Not NaN and not infinite, told from the bits: comparisons may be compiled as if neither existed.
+inline vi finite(vf x) { return ((vi)x & 0x7f800000) != 0x7f800000; }
+
+inline vi lane_numbers() {
+  vi v;
+  for (int i = 0; i < L; ++i) v[i] = i;
+  return v;
+}
+
+// 2^p for p in [-126, 127]. Degree 5 on [-1, 0], minimax with p(0) = 1: relative error 8.4e-8.
+inline vf exp2(vf p) {
+  const vi n = to_int(p);  // towards zero
+  const vf f = p - to_float(n);
+  vf y = 9.44903476e-4f * f + 9.20579777e-3f;
+  y = y * f + 5.52973579e-2f;
+  y = y * f + 2.40180143e-1f;
+  y = y * f + 6.93143721e-1f;
+  y = y * f + 1.0f;
+  return (vf)((vi)y + (n << 23));
+}
+
+// log2 of positive, normal x, by the series of 2 atanh((m - 1) / (m + 1)); relative error 3e-8.
+inline vf log2(vf x) {
+  const vi bits = (vi)x - 0x3f3504f3;  // sqrt(1/2): the mantissa m lies in [sqrt(1/2), sqrt(2))
+  const vf exponent = to_float(bits >> 23);
+  const vf m = (vf)((bits & 0x007fffff) + 0x3f3504f3);
+  const vf s = (m - 1.0f) / (m + 1.0f), s2 = s * s;
+  vf y = s2 * (2.0f / 9.0f) + 2.0f / 7.0f;
+  y = y * s2 + 2.0f / 5.0f;
+  y = y * s2 + 2.0f / 3.0f;
+  y = y * s2 + 2.0f;
+  return exponent + 1.44269504f * (y * s);
+}
+
+// Exchange the blocks of S lanes that lie off the diagonal; log2(L) of these transpose a matrix.
+template <int S>
+inline void exchange(vf& a, vf& b) {
+  const vi lane = lane_numbers();
+  const vi low = (lane & S) != 0 ? lane + (L - S) : lane;
+  const vi high = (lane & S) != 0 ? lane + L : lane + S;
+#if defined(__clang__)
+  vf x, y;
+  for (int i = 0; i < L; ++i) {
+    x[i] = low[i] < L ? a[low[i]] : b[low[i] - L];
+    y[i] = high[i] < L ? a[high[i]] : b[high[i] - L];
+  }
+#else
+  const vf x = __builtin_shuffle(a, b, low), y = __builtin_shuffle(a, b, high);
+#endif
+  a = x;
+  b = y;
+}
+
+template <int S>
+inline void transpose_stage(vf* v) {
+  for (int i = 0; i < L; ++i)
+    if (!(i & S)) exchange<S>(v[i], v[i | S]);
+}
+
+inline void transpose(vf* v) {
+  transpose_stage<1>(v);
+  transpose_stage<2>(v);
+  if (L >= 8) transpose_stage<L >= 8 ? 4 : 1>(v);
+  if (L >= 16) transpose_stage<L >= 16 ? 8 : 1>(v);
+}
+
+// ------------------------------------------------------------------------------- data and layouts
+
+constexpr float LOG2E = 1.44269504f;
+constexpr float LN2 = 0.69314718f;
+constexpr float LOG2_MIN_ALPHA = -7.99435344f;
+constexpr int MAX_VALUES = 5;  // four channels and depth
+
+// One Gaussian of one pose in the image.
+struct alignas(64) Record {
+  float x, y;                // centre, pixels
+  float a, b, c;             // exponent, base 2
+  float logo;                // log2 of the opacity
+  float steer_y, steer_x;    // where the exponent is largest along a line: dy = steer_y dx, ...
+  float value[MAX_VALUES];   // channels, then depth
+  int32_t slot;              // its first slot, counted from that of its chunk
+  int16_t tile_x, tile_y;    // first tile it meets
+  int32_t tile_columns;
+};
+static_assert(sizeof(Record) == 64, "one cache line");
+
+// What the stages between need of it.
+struct Placement {
+  uint32_t key;  // depth, as bits: positive floats are ordered like integers
+  int16_t x0, y0, x1, y1;  // tiles it meets, ends excluded
+  int32_t slot;
+};
+static_assert(sizeof(Placement) == 16, "four to a cache line");
+
+constexpr int SEGMENT = 512;      // pairs whose records are copied together: stays in L1 and L2
+constexpr int GROUP = 64;         // pairs whose visits make one word per block
+
+struct Visits {
+  int32_t half[2][BLOCKS];  // bit j of half h: pair 32 h + j of the group visits the block
+  uint64_t word(int block) const {
+    return (uint32_t)half[0][block] | (uint64_t)(uint32_t)half[1][block] << 32;
+  }
+};
+
+}  // namespace
+
+extern "C" {
+
+// Everything the three calls share; cpu.py fills it and mirrors this layout.
+struct Frame {
+  int64_t poses, gaussians, channels, width, height;
+  int64_t covar_columns;  // 6 or 9
+  int64_t covars_shared;  // one set for all poses
+  int64_t average, depth, keep, threads;
+  int64_t chunks, chunk_shift;  // a pose is cut into chunks of 2^chunk_shift Gaussians
+  int64_t tiles_x, tiles_y;
+  int64_t pairs, busy;  // found by `project`: pairs, and (pose, tile)s that have any
+  int64_t largest;      // found by `project`: the most pairs of one pose
+  int64_t slot_capacity;
+  // inputs
+  const float *means, *covars, *opacities, *colors, *viewmat, *K, *background;
+  // made by `project`
+  Record* records;          // [poses, gaussians]
+  Placement* placements;    // [poses, gaussians]
+  int32_t* radii;           // [poses, gaussians]
+  int32_t* histogram;       // [poses, chunks, tiles]: pairs of each chunk, then where they go
+  int32_t* tile_start;      // [poses, tiles + 1]
+  int32_t* chunk_slot;      // [poses, chunks + 1]: first slot of each chunk
+  int32_t* busy_index;      // [poses, tiles]: which busy tile this is, or -1
+  int32_t* busy_start;      // [poses + 1]: first busy tile of each pose
+  // made by `forward`
+  uint64_t* unsorted;       // [2, pairs]: depth and number; scratch
+  int32_t* sorted;          // [pairs]: numbers, front to back within each tile
+  int32_t* busy_tiles;      // [busy]: pose * tiles + tile
+  int32_t* composited;      // [busy]: pairs looked at before every pixel was finished
+  Visits* visits;           // [pairs / GROUP + busy]
+  float* states;            // [busy, BLOCKS, values + 1, L]: what was seen, and what shines through
+  float *image, *alpha, *depths;
+  // gradients in and out; null where not given or not wanted
+  const float *image_grad, *alpha_grad, *depths_grad;
+  float* slots;             // [slot_capacity, SLOT]
+  float *means_grad, *covars_grad, *opacities_grad, *colors_grad, *background_grad;
+  float *means2d_grad, *means2d_absgrad;
+};
+
+}  // extern "C"
+
+namespace {
+
+int64_t tiles_of(const Frame& f) { return f.tiles_x * f.tiles_y; }
+int64_t values_of(const Frame& f) { return f.channels + f.depth; }
+
+// The camera, broadcast once per call.
+struct Camera {
+  float r[3][3], t[3], fx, fy, cx, cy, low_x, high_x, low_y, high_y;
+
+  explicit Camera(const Frame& f) {
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) r[i][j] = f.viewmat[4 * i + j];
+      t[i] = f.viewmat[4 * i + 3];
+    }
+    fx = f.K[0], cx = f.K[2], fy = f.K[4], cy = f.K[5];
+    const float margin_x = VIEW_MARGIN * 0.5f * f.width / fx;
+    const float margin_y = VIEW_MARGIN * 0.5f * f.height / fy;
+    low_x = -cx / fx - margin_x, high_x = (f.width - cx) / fx + margin_x;
+    low_y = -cy / fy - margin_y, high_y = (f.height - cy) / fy + margin_y;
+  }
+};
+
+// Read `columns` floats of each of L rows, one lane a row; rows past the end repeat the last.
+template <int columns>
+inline void load_rows(const float* from, int64_t rows, vf* to) {
+  alignas(64) float t[columns][L];
+  if (rows >= L) {
+    for (int k = 0; k < L; ++k)
+      for (int c = 0; c < columns; ++c) t[c][k] = from[k * columns + c];
+  } else {
+    for (int k = 0; k < L; ++k)
+      for (int c = 0; c < columns; ++c) t[c][k] = from[std::min<int64_t>(k, rows - 1) * columns + c];
+  }
+  for (int c = 0; c < columns; ++c) to[c] = load(t[c]);
+}
+
+template <int columns>
+inline void store_rows(float* to, int64_t rows, const vf* from) {
+  alignas(64) float t[columns][L];
+  for (int c = 0; c < columns; ++c) store(t[c], from[c]);
+  if (rows >= L) {
+    for (int k = 0; k < L; ++k)
+      for (int c = 0; c < columns; ++c) to[k * columns + c] = t[c][k];
+  } else {
+    for (int k = 0; k < rows; ++k)
+      for (int c = 0; c < columns; ++c) to[k * columns + c] = t[c][k];
+  }
+}
+
+inline void load_covars(const Frame& f, int64_t pose, int64_t i, int64_t rows, vf* s) {
+  const float* from = f.covars + ((f.covars_shared ? 0 : pose * f.gaussians) + i) * f.covar_columns;
+  if (f.covar_columns == 6) return load_rows<6>(from, rows, s);
+  vf whole[9];
+  load_rows<9>(from, rows, whole);
+  s[0] = whole[0], s[1] = whole[1], s[2] = whole[2];
+  s[3] = whole[4], s[4] = whole[5], s[5] = whole[8];
+}
+
+// L Gaussians projected; the same code serves both directions.
+struct Projection {
+  vf z, rz, slope_x, slope_y;      // of the centre, in the camera
+  vf clamped_x, clamped_y;         // slopes at which the Jacobian is taken
+  vf x, y;                         // pixels
+  vf m0[3], m1[3];                 // rows of the Jacobian, from world space
+  vf s0[3], s1[3];                 // covariance times those
+  vf xx, xy, yy;                   // covariance, px^2
+  vf conic_xx, conic_xy, conic_yy;
+  vi solid;                        // in front of the camera, not degenerate
+
+  Projection(const Camera& cam, const vf* mean, const vf* s) {
+    const vf px = cam.r[0][0] * mean[0] + cam.r[0][1] * mean[1] + cam.r[0][2] * mean[2] + cam.t[0];
+    const vf py = cam.r[1][0] * mean[0] + cam.r[1][1] * mean[1] + cam.r[1][2] * mean[2] + cam.t[1];
+    z = cam.r[2][0] * mean[0] + cam.r[2][1] * mean[1] + cam.r[2][2] * mean[2] + cam.t[2];
+    solid = z >= NEAR_PLANE;
+    rz = 1.0f / (solid ? z : splat(1.0f));
+    slope_x = px * rz, slope_y = py * rz;
+    clamped_x = clamp(slope_x, splat(cam.low_x), splat(cam.high_x));
+    clamped_y = clamp(slope_y, splat(cam.low_y), splat(cam.high_y));
+    x = cam.fx * slope_x + cam.cx, y = cam.fy * slope_y + cam.cy;
+    const vf scale_x = cam.fx * rz, scale_y = cam.fy * rz;
+    for (int i = 0; i < 3; ++i) {
+      m0[i] = scale_x * (cam.r[0][i] - clamped_x * cam.r[2][i]);
+      m1[i] = scale_y * (cam.r[1][i] - clamped_y * cam.r[2][i]);
+    }
+    times(s, m0, s0);
+    times(s, m1, s1);
+    xx = m0[0] * s0[0] + m0[1] * s0[1] + m0[2] * s0[2] + EPS2D;
+    xy = m0[0] * s1[0] + m0[1] * s1[1] + m0[2] * s1[2];
+    yy = m1[0] * s1[0] + m1[1] * s1[1] + m1[2] * s1[2] + EPS2D;
+    const vf determinant = xx * yy - xy * xy;
+    solid &= determinant > 0.0f;
+    const vf inverse = 1.0f / (solid ? determinant : splat(1.0f));
+    conic_xx = yy * inverse, conic_xy = -xy * inverse, conic_yy = xx * inverse;
+    solid &= finite(x) & finite(y) & finite(xx) & finite(yy) & finite(conic_xx) &
+             finite(conic_xy) & finite(conic_yy);
+  }
+
+  static void times(const vf* s, const vf* m, vf* out) {
+    out[0] = s[0] * m[0] + s[1] * m[1] + s[2] * m[2];
+    out[1] = s[1] * m[0] + s[3] * m[1] + s[4] * m[2];
+    out[2] = s[2] * m[0] + s[4] * m[1] + s[5] * m[2];
+  }
+};
+
+enum NotFinite { MEANS = 1, COVARS = 2, OPACITIES = 4, COLORS = 8, TOO_MANY_PAIRS = 16 };
+
+// Project one chunk of one pose; returns which inputs were not finite, counts pairs into `histogram`.
+int project_chunk(const Frame& f, const Camera& cam, int64_t pose, int64_t begin, int64_t end,
+                  int32_t* histogram, int64_t& pairs) {
+  const int64_t N = f.gaussians, C = f.channels;
+  const vi lane = lane_numbers();
+  vi bad_mean = {}, bad_covar = {}, bad_opacity = {}, bad_color = {};
+  pairs = 0;
+  for (int64_t i = begin; i < end; i += L) {
+    const int64_t rows = end - i;
+    vf mean[3], s[6], opacity[1];
+    load_rows<3>(f.means + (pose * N + i) * 3, rows, mean);
+    load_covars(f, pose, i, rows, s);
+    load_rows<1>(f.opacities + i, rows, opacity);
+    for (int k = 0; k < 3; ++k) bad_mean |= ~finite(mean[k]);
+    for (int k = 0; k < 6; ++k) bad_covar |= ~finite(s[k]);
+    bad_opacity |= ~finite(opacity[0]);
+    const Projection p(cam, mean, s);
+
+    vi visible = p.solid & (opacity[0] >= MIN_ALPHA) & (lane < (int32_t)std::min<int64_t>(rows, L));
+    const vf logo = log2(max(opacity[0], splat(MIN_ALPHA)));
+    const vf reach = 2.0f * LN2 * max(logo - LOG2_MIN_ALPHA, splat(0.0f));
+    const vf most = splat(1e9f);
+    const vf extent_x = min(sqrt(max(reach * p.xx, splat(0.0f))), most);
+    const vf extent_y = min(sqrt(max(reach * p.yy, splat(0.0f))), most);
+    const vf rounded_x = ceil(extent_x), rounded_y = ceil(extent_y);
+    const vf width = splat((float)f.width), height = splat((float)f.height);
+    visible &= (p.x + rounded_x > 0.0f) & (p.x - rounded_x < width);
+    visible &= (p.y + rounded_y > 0.0f) & (p.y - rounded_y < height);
+    visible &= (rounded_x > 0.0f) | (rounded_y > 0.0f);
+
+    // Pixels whose centres the box holds; the slack covers rounding, blocks are tested exactly later.
+    const vf slack_x = 1e-3f + 1e-5f * extent_x, slack_y = 1e-3f + 1e-5f * extent_y;
+    const vf zero = splat(0.0f);
+    const vf first_x = ceil(clamp(p.x - extent_x - slack_x - 0.5f, zero, width));
+    const vf first_y = ceil(clamp(p.y - extent_y - slack_y - 0.5f, zero, height));
+    const vf last_x = floor(clamp(p.x + extent_x + slack_x - 0.5f, splat(-1.0f), width - 1.0f));
+    const vf last_y = floor(clamp(p.y + extent_y + slack_y - 0.5f, splat(-1.0f), height - 1.0f));
+    const vi meets = visible & (first_x <= last_x) & (first_y <= last_y);
+    const vi x0 = to_int(first_x) / TILE_W & meets, x1 = (to_int(last_x) / TILE_W + 1) & meets;
+    const vi y0 = to_int(first_y) / TILE_H & meets, y1 = (to_int(last_y) / TILE_H + 1) & meets;
+    const vi radius = to_int(max(rounded_x, rounded_y)) & visible;
+
+    vf column[16] = {p.x,
+                     p.y,
+                     -0.5f * LOG2E * p.conic_xx,
+                     -LOG2E * p.conic_xy,
+                     -0.5f * LOG2E * p.conic_yy,
+                     logo,
+                     -p.conic_xy / p.conic_yy,
+                     -p.conic_xy / p.conic_xx};
+    for (int64_t c = 0; c < C; ++c) {
+      alignas(64) float t[L];
+      for (int k = 0; k < L; ++k) t[k] = f.colors[(i + std::min<int64_t>(k, rows - 1)) * C + c];
+      column[8 + c] = load(t);
+      if (pose == 0) bad_color |= ~finite(column[8 + c]);
+    }
+    if (f.depth) column[8 + C] = p.z;
+    const vi counts = (x1 - x0) * (y1 - y0);
+    vi slot;
+    for (int k = 0; k < L; ++k) {
+      slot[k] = (int32_t)pairs;
+      pairs += counts[k];
+    }
+    column[13] = (vf)slot;
+    column[14] = (vf)(x0 | y0 << 16);
+    column[15] = (vf)(x1 - x0);
+
+    Record* const records = f.records + pose * N + i;
+    Placement* const placements = f.placements + pose * N + i;
+    const int count = (int)std::min<int64_t>(rows, L);
+    for (int group = 0; group < 16 / L; ++group) {
+      transpose(column + group * L);
+      for (int k = 0; k < count; ++k)
+        store((float*)(records + k) + group * L, column[group * L + k]);
+    }
+    const vi key = (vi)p.z;
+    for (int k = 0; k < count; ++k) {
+      placements[k] = {(uint32_t)key[k],  (int16_t)x0[k], (int16_t)y0[k],
+                       (int16_t)x1[k], (int16_t)y1[k], slot[k]};
+      f.radii[pose * N + i + k] = radius[k];
+      for (int ty = y0[k]; ty < y1[k]; ++ty)
+        for (int tx = x0[k]; tx < x1[k]; ++tx) ++histogram[ty * f.tiles_x + tx];
+    }
+  }
+  return (any(bad_mean) ? MEANS : 0) | (any(bad_covar) ? COVARS : 0) |
+         (any(bad_opacity) ? OPACITIES : 0) | (any(bad_color) ? COLORS : 0);
+}
+
+// Hand a chunk's Gaussians to the tiles they meet.
+void scatter_chunk(const Frame& f, int64_t pose, int64_t begin, int64_t end, int32_t* where) {
+  const Placement* const placements = f.placements + pose * f.gaussians;
+  for (int64_t i = begin; i < end; ++i) {
+    const Placement p = placements[i];
+    const uint64_t entry = (uint64_t)p.key << 32 | (uint64_t)i;
+    for (int ty = p.y0; ty < p.y1; ++ty)
+      for (int tx = p.x0; tx < p.x1; ++tx) f.unsorted[where[ty * f.tiles_x + tx]++] = entry;
+  }
+}
+
+// ------------------------------------------------------------------------------------------ tiles
+
+// Sort by depth, then by number. Two passes over the 16 leading bits in use bring every entry near
+// its place and insertion finishes; long lists pass over all bits in use.
+void sort_by_depth(uint64_t* a, uint64_t* b, int64_t n, int32_t* numbers) {
+  uint32_t low = ~0u, high = 0;
+  for (int64_t i = 0; i < n; ++i) {
+    const uint32_t key = (uint32_t)(a[i] >> 32);
+    low = std::min(low, key);
+    high = std::max(high, key);
+  }
+  const int bits = high > low ? 32 - __builtin_clz(high - low) : 0;
+  const int passes = n > 1024 ? (bits + 7) / 8 : std::min((bits + 7) / 8, n > 24 ? 2 : 0);
+  int shift = n > 1024 ? 0 : std::max(0, bits - 16);
+  for (int pass = 0; pass < passes; ++pass, shift += 8) {
+    int32_t start[256] = {};
+    for (int64_t i = 0; i < n; ++i) ++start[((uint32_t)(a[i] >> 32) - low) >> shift & 255];
+    int32_t sum = 0;
+    for (int d = 0; d < 256; ++d) {
+      const int32_t count = start[d];
+      start[d] = sum;
+      sum += count;
+    }
+    for (int64_t i = 0; i < n; ++i)
+      b[start[((uint32_t)(a[i] >> 32) - low) >> shift & 255]++] = a[i];
+    std::swap(a, b);
+  }
+  for (int64_t i = 1; i < n; ++i) {
+    const uint64_t entry = a[i];
+    int64_t j = i;
+    for (; j > 0 && a[j - 1] > entry; --j) a[j] = a[j - 1];
+    a[j] = entry;
+  }
+  for (int64_t i = 0; i < n; ++i) numbers[i] = (int32_t)(uint32_t)a[i];
+}
+
+// Where a tile's pixels are.
+struct Tile {
+  int64_t pose, number;
+  int x0, y0, width, height;
+
+  Tile(const Frame& f, int64_t pose, int64_t tile) : pose(pose), number(tile) {
+    x0 = (int)(tile % f.tiles_x) * TILE_W;
+    y0 = (int)(tile / f.tiles_x) * TILE_H;
+    width = std::min<int>(TILE_W, (int)f.width - x0);
+    height = std::min<int>(TILE_H, (int)f.height - y0);
+  }
+};
+
+// Pixel centres of the first block of a tile, and of the tile's other blocks.
+struct Grid {
+  vf x, y;
+
+  explicit Grid(const Tile& tile) {
+    for (int i = 0; i < L; ++i) {
+      x[i] = tile.x0 + i % BLOCK_W + 0.5f;
+      y[i] = tile.y0 + i / BLOCK_W + 0.5f;
+    }
+  }
+  static float dx(int block) { return (float)(block % GRID_W * BLOCK_W); }
+  static float dy(int block) { return (float)(block / GRID_W * BLOCK_H); }
+};
+
+// Copy the records of up to SEGMENT pairs next to each other.
+inline void copy_records(const Record* records, const int32_t* numbers, int n, Record* to) {
+  constexpr int AHEAD = 8;
+  for (int j = 0; j < n; ++j) {
+    __builtin_prefetch(records + numbers[std::min(j + AHEAD, n - 1)]);
+    to[j] = records[numbers[j]];
+  }
+}
+
+// Find the blocks that each pair visits, one lane a block: the largest exponent over the block's
+// rectangle of pixel centres lies at the Gaussian's centre or on an edge that faces it.
+inline void find_visits(const Tile& tile, const Record* records, int n, Visits* visits) {
+  const vf threshold = splat(LOG2_MIN_ALPHA - 1e-4f), zero = splat(0.0f);
+  for (int part = 0; part < BLOCKS / L; ++part) {
+    vf left, top;
+    for (int i = 0; i < L; ++i) {
+      left[i] = tile.x0 + 0.5f + Grid::dx(part * L + i);
+      top[i] = tile.y0 + 0.5f + Grid::dy(part * L + i);
+    }
+    const vf right = left + (float)(BLOCK_W - 1), bottom = top + (float)(BLOCK_H - 1);
+    for (int start = 0; start < n; start += 32) {
+      const int count = std::min(32, n - start);
+      vi word = {};
+      for (int j = 0; j < count; ++j) {
+        const Record& r = records[start + j];
+        const vf x0 = left - r.x, x1 = right - r.x, y0 = top - r.y, y1 = bottom - r.y;
+        const vf dx = clamp(zero, x0, x1), dy = clamp(zero, y0, y1);
+        const vf along_y = clamp(r.steer_y * dx, y0, y1), along_x = clamp(r.steer_x * dy, x0, x1);
+        const vf on_side = (r.a * dx + r.b * along_y) * dx + r.c * along_y * along_y;
+        const vf on_top = (r.a * along_x + r.b * dy) * along_x + r.c * dy * dy;
+        const vi meets = max(on_side, on_top) >= threshold - r.logo;
+        word |= meets & (int32_t)(1u << j);
+      }
+      std::memcpy(visits[start / GROUP].half[start / 32 % 2] + part * L, &word, sizeof word);
+    }
+    if ((n + 31) / 32 % 2) {
+      const vi none = {};
+      std::memcpy(visits[n / GROUP].half[1] + part * L, &none, sizeof none);
+    }
+  }
+}
+
+// The exponent of one Gaussian at the pixels of one block.
+inline vf exponent(const Record& r, vf dx, vf dy) {
+  return (r.a * dx + r.b * dy) * dx + (r.c * dy * dy + r.logo);
+}
+
+// Front to back, state in registers. `through` is the transmittance; it goes on falling below
+// MIN_TRANSMITTANCE, where a pixel is finished and nothing counts, so that no flag is needed.
+template <int V>
+struct State {
+  vf seen[V];   // sum of weight times value
+  vf through;   // running
+  vf last;      // before the pixel was finished
+
+  bool finished() const { return !any(through > MIN_TRANSMITTANCE); }
+};
+
+// Composite one segment over one block; returns whether all its pixels are finished.
+template <int V>
+inline bool composite_block(const Record* records, Visits* visits, int groups, int block, vf px,
+                            vf py, State<V>& out) {
+  State<V> s = out;
+  bool finished = false;
+  for (int g = 0; g < groups; ++g) {
+    uint64_t word = visits[g].word(block);
+    if (finished) {  // the way back need not look at these either
+      visits[g].half[0][block] = visits[g].half[1][block] = 0;
+      continue;
+    }
+    if (!word) continue;
+    const Record* const first = records + g * GROUP;
+    for (; word; word &= word - 1) {
+      const Record& r = first[__builtin_ctzll(word)];
+      const vf power = exponent(r, px - r.x, py - r.y);
+      const vf floor_power = splat(LOG2_MIN_ALPHA);
+      vf alpha = min(exp2(max(power, floor_power)), splat(MAX_ALPHA));
+      alpha = only(power >= floor_power, alpha);
+      const vf after = s.through * (1.0f - alpha);
+      const vi alive = after > MIN_TRANSMITTANCE;
+      const vf weight = only(alive, alpha * s.through);
+      for (int v = 0; v < V; ++v) s.seen[v] += weight * r.value[v];
+      s.last = alive ? after : s.last;
+      s.through = after;
+    }
+    finished = s.finished();
+  }
+  out = s;
+  return finished;
+}
+
+// Composite one busy tile into `states` ([BLOCKS][V + 1][L]: seen, last).
+template <int V>
+void composite_tile(const Frame& f, const Tile& tile, float* states) {
+  const int64_t at = tile.pose * (tiles_of(f) + 1) + tile.number;
+  const int64_t begin = f.tile_start[at], n = f.tile_start[at + 1] - begin;
+  const int64_t busy = f.busy_index[tile.pose * tiles_of(f) + tile.number];
+  sort_by_depth(f.unsorted + begin, f.unsorted + f.pairs + begin, n, f.sorted + begin);
+
+  Record records[SEGMENT];
+  Visits scratch[SEGMENT / GROUP];
+  State<V> state[BLOCKS];
+  bool finished[BLOCKS] = {};
+  for (int k = 0; k < BLOCKS; ++k) {
+    for (int v = 0; v < V; ++v) state[k].seen[v] = splat(0.0f);
+    state[k].through = state[k].last = splat(1.0f);
+  }
+  const Grid grid(tile);
+  int64_t done = 0;
+  int left = BLOCKS;
+  while (done < n && left) {
+    const int m = (int)std::min<int64_t>(SEGMENT, n - done);
+    const int groups = (m + GROUP - 1) / GROUP;
+    Visits* const visits =
+        f.keep ? f.visits + begin / GROUP + busy + done / GROUP : scratch;
+    copy_records(f.records + tile.pose * f.gaussians, f.sorted + begin + done, m, records);
+    find_visits(tile, records, m, visits);
+    for (int k = 0; k < BLOCKS; ++k) {
+      if (finished[k]) {
+        for (int g = 0; g < groups; ++g) visits[g].half[0][k] = visits[g].half[1][k] = 0;
+        continue;
+      }
+      finished[k] = composite_block<V>(records, visits, groups, k, grid.x + Grid::dx(k),
+                                       grid.y + Grid::dy(k), state[k]);
+      left -= finished[k];
+    }
+    done += m;
+  }
+  if (f.keep) f.composited[busy] = (int32_t)done;
+  for (int k = 0; k < BLOCKS; ++k) {
+    for (int v = 0; v < V; ++v) store(states + (k * (V + 1) + v) * L, state[k].seen[v]);
+    store(states + (k * (V + 1) + V) * L, state[k].last);
+  }
+}
+
+// Write a composited tile to the picture.
+template <int V>
+void write_tile(const Frame& f, const Tile& tile, int64_t picture, const float* states) {
+  const int C = (int)f.channels;
+  for (int y = 0; y < tile.height; ++y) {
+    const int64_t row = (picture * f.height + tile.y0 + y) * f.width + tile.x0;
+    for (int x = 0; x < tile.width; ++x) {
+      const int block = y / BLOCK_H * GRID_W + x / BLOCK_W;
+      const float* const s = states + block * (V + 1) * L + y % BLOCK_H * BLOCK_W + x % BLOCK_W;
+      const float through = s[V * L];
+      for (int c = 0; c < C; ++c)
+        f.image[(row + x) * C + c] = s[c * L] + through * (f.background ? f.background[c] : 0.0f);
+      f.alpha[row + x] = 1.0f - through;
+      if (f.depth) f.depths[row + x] = s[C * L];
+    }
+  }
+}
+
+// An empty tile shows the background.
+void write_empty_tile(const Frame& f, const Tile& tile, int64_t picture) {
+  const int C = (int)f.channels;
+  for (int y = 0; y < tile.height; ++y) {
+    const int64_t row = (picture * f.height + tile.y0 + y) * f.width + tile.x0;
+    float* const image = f.image + row * C;
+    if (f.background) {
+      for (int x = 0; x < tile.width; ++x)
+        for (int c = 0; c < C; ++c) image[x * C + c] = f.background[c];
+    } else {
+      std::memset(image, 0, sizeof(float) * C * tile.width);
+    }
+    std::memset(f.alpha + row, 0, sizeof(float) * tile.width);
+    if (f.depth) std::memset(f.depths + row, 0, sizeof(float) * tile.width);
+  }
+}
+
+// One tile of one picture; of the mean picture, all poses in turn.
+template <int V>
+void draw_tile(const Frame& f, int64_t picture, int64_t t) {
+  constexpr int SIZE = BLOCKS * (V + 1) * L;
+  alignas(64) float scratch[SIZE], sum[SIZE];
+  const int64_t first = f.average ? 0 : picture, last = f.average ? f.poses : picture + 1;
+  int64_t drawn = 0;
+  const float* states = nullptr;
+  for (int64_t pose = first; pose < last; ++pose) {
+    const int64_t busy = f.busy_index[pose * tiles_of(f) + t];
+    if (busy < 0) continue;
+    float* const to = f.keep ? f.states + busy * SIZE : scratch;
+    composite_tile<V>(f, Tile(f, pose, t), to);
+    states = to;
+    if (!f.average) continue;
+    for (int i = 0; i < SIZE; i += L) store(sum + i, drawn ? load(sum + i) + load(to + i) : load(to + i));
+    ++drawn;
+  }
+  const Tile tile(f, picture, t);
+  if (!states) return write_empty_tile(f, tile, picture);
+  if (f.average) {
+    const float clear = (float)(f.poses - drawn), scale = 1.0f / f.poses;
+    for (int k = 0; k < BLOCKS; ++k)
+      for (int v = 0; v <= V; ++v) {
+        float* const s = sum + (k * (V + 1) + v) * L;
+        store(s, (load(s) + (v == V ? clear : 0.0f)) * scale);
+      }
+    states = sum;
+  }
+  write_tile<V>(f, tile, picture, states);
+}
+
+template <int V>
+void draw(const Frame& f) {
+  const int64_t pictures = f.average ? 1 : f.poses, tiles = tiles_of(f);
+#pragma omp parallel for schedule(dynamic, 1) num_threads((int)f.threads)
+  for (int64_t i = 0; i < pictures * tiles; ++i) draw_tile<V>(f, i / tiles, i % tiles);
+}
+
+// ------------------------------------------------------------------------------------ the way back
+
+// What a slot holds: six moments of g = alpha dLoss/dalpha about the Gaussian's centre, the values'
+// gradients, and the absolute gradients of the centre.
+enum { S0, SX, SY, SXX, SXY, SYY, SV };
+template <int V>
+constexpr int SLOT = (SV + V + 2 + 3) / 4 * 4;
+
+// What L visits of one block found, before the sums over its pixels.
+template <int V>
+struct Batch {
+  vf g[L], weight[L], pull[L];
+  alignas(64) float x[L], y[L];
+  int pair[L];
+  int count = 0;
+};
+
+// Sum a batch over its pixels and add it to its pairs: one lane a pixel becomes one lane a visit.
+template <int V>
+__attribute__((noinline)) void add_batch(Batch<V>& batch, const vf* value_grad, float px, float py,
+                                         float* sums) {
+  transpose(batch.g);
+  vf out[16] = {};
+  {
+    vf row0[BLOCK_H], row1[BLOCK_H], row2[BLOCK_H];
+    for (int y = 0; y < BLOCK_H; ++y) {
+      const vf* const g = batch.g + y * BLOCK_W;
+      row0[y] = g[0] + g[1], row1[y] = g[1], row2[y] = g[1];
+      for (int x = 2; x < BLOCK_W; ++x) {
+        row0[y] += g[x];
+        row1[y] += (float)x * g[x];
+        row2[y] += (float)(x * x) * g[x];
+      }
+    }
+    vf s0 = row0[0], sx = row1[0], sxx = row2[0], sy = splat(0.0f), sxy = sy, syy = sy;
+    for (int y = 1; y < BLOCK_H; ++y) {
+      s0 += row0[y], sx += row1[y], sxx += row2[y];
+      sy += (float)y * row0[y], sxy += (float)y * row1[y], syy += (float)(y * y) * row0[y];
+    }
+    // From the block's first pixel to each Gaussian's centre.
+    const vf ox = px - load(batch.x), oy = py - load(batch.y);
+    const vf mx = sx + ox * s0, my = sy + oy * s0;
+    out[S0] = s0, out[SX] = mx, out[SY] = my;
+    out[SXX] = sxx + ox * (sx + mx);
+    out[SXY] = sxy + ox * sy + oy * mx;
+    out[SYY] = syy + oy * (sy + my);
+  }
+  transpose(batch.weight);
+  for (int p = 0; p < L; ++p)
+    for (int v = 0; v < V; ++v) out[SV + v] += batch.weight[p] * value_grad[v][p];
+  transpose(batch.pull);
+  for (int p = 0; p < L / 2; ++p) {
+    out[SV + V] += batch.pull[p];
+    out[SV + V + 1] += batch.pull[p + L / 2];
+  }
+  constexpr int PARTS = (SLOT<V> + L - 1) / L;
+  for (int part = 0; part < PARTS; ++part) {
+    transpose(out + part * L);
+    for (int k = 0; k < batch.count; ++k) {
+      float* const to = sums + batch.pair[k] * 16 + part * L;
+      store(to, load(to) + out[part * L + k]);
+    }
+  }
+  batch.count = 0;
+}
+
+// Lower halves of two vectors added to their upper halves, side by side.
+inline vf fold(vf a, vf b) {
+  const vi lane = lane_numbers();
+  const vi low = lane < L / 2 ? lane : lane + L / 2, high = low + L / 2;
+#if defined(__clang__)
+  vf x, y;
+  for (int i = 0; i < L; ++i) {
+    x[i] = low[i] < L ? a[low[i]] : b[low[i] - L];
+    y[i] = high[i] < L ? a[high[i]] : b[high[i] - L];
+  }
+  return x + y;
+#else
+  return __builtin_shuffle(a, b, low) + __builtin_shuffle(a, b, high);
+#endif
+}
+
+// `rest` is what the loss gains from all that is still behind: it starts as the whole pixel's.
+template <int V>
+inline void differentiate_block(const Record* records, const Visits* visits, int groups, int block,
+                                vf px, vf py, const vf* value_grad, vf& through_, vf& rest_,
+                                Batch<V>& batch, float* sums) {
+  vf through = through_, rest = rest_, grad[V];
+  for (int v = 0; v < V; ++v) grad[v] = value_grad[v];
+  for (int g = 0; g < groups; ++g) {
+    uint64_t word = visits[g].word(block);
+    for (; word; word &= word - 1) {
+      const int j = g * GROUP + __builtin_ctzll(word);
+      const Record& r = records[j];
+      const vf dx = px - r.x, dy = py - r.y;
+      const vf adx = r.a * dx, slope = adx + r.b * dy, cdy = r.c * dy;
+      const vf power = slope * dx + (cdy * dy + r.logo);
+      const vf floor_power = splat(LOG2_MIN_ALPHA);
+      const vf raw = exp2(max(power, floor_power));
+      const vf alpha = only(power >= floor_power, min(raw, splat(MAX_ALPHA)));
+      const vf kept = 1.0f - alpha;
+      const vf after = through * kept;
+      const vi alive = after > MIN_TRANSMITTANCE;
+      const vf weight = only(alive, alpha * through);
+      vf gain = grad[0] * r.value[0];
+      for (int v = 1; v < V; ++v) gain += grad[v] * r.value[v];
+      rest -= weight * gain;
+      const vf alpha_grad = through * gain - rest / kept;
+      const vf moment = only(alive & (raw <= MAX_ALPHA), alpha * alpha_grad);
+      const int k = batch.count++;
+      batch.g[k] = moment;
+      batch.weight[k] = weight;
+      batch.pull[k] = fold(abs(moment * (slope + adx)), abs(moment * (r.b * dx + (cdy + cdy))));
+      batch.x[k] = r.x, batch.y[k] = r.y;
+      batch.pair[k] = j;
+      through = after;
+      if (batch.count == L) add_batch<V>(batch, value_grad, px[0], py[0], sums);
+    }
+  }
+  if (batch.count) add_batch<V>(batch, value_grad, px[0], py[0], sums);
+  through_ = through, rest_ = rest;
+}
+
+// Gradients of one tile's pixels, one vector a block and value, and what the loss gains from each.
+template <int V>
+inline void load_gradients(const Frame& f, const Tile& tile, const float* states,
+                           vf (*value_grad)[V], vf* rest) {
+  const int C = (int)f.channels;
+  const int64_t picture = f.average ? 0 : tile.pose;
+  const float scale = f.average ? 1.0f / f.poses : 1.0f;
+  alignas(64) float grads[BLOCKS][V + 1][L];
+  if (tile.width < TILE_W || tile.height < TILE_H || C + f.depth < V || !f.image_grad)
+    std::memset(grads, 0, sizeof grads);
+  for (int y = 0; y < tile.height; ++y) {
+    const int64_t row = (picture * f.height + tile.y0 + y) * f.width + tile.x0;
+    for (int x = 0; x < tile.width; ++x) {
+      float* const to = &grads[y / BLOCK_H * GRID_W + x / BLOCK_W][0][y % BLOCK_H * BLOCK_W + x % BLOCK_W];
+      if (f.image_grad)
+        for (int c = 0; c < C; ++c) to[c * L] = f.image_grad[(row + x) * C + c];
+      if (f.depth) to[C * L] = f.depths_grad ? f.depths_grad[row + x] : 0.0f;
+      to[V * L] = f.alpha_grad ? f.alpha_grad[row + x] : 0.0f;
+    }
+  }
+  for (int k = 0; k < BLOCKS; ++k) {
+    const float* const s = states + k * (V + 1) * L;
+    const vf through = load(s + V * L);
+    rest[k] = -scale * load(grads[k][V]) * through;
+    for (int v = 0; v < V; ++v) {
+      value_grad[k][v] = scale * load(grads[k][v]);
+      const float backdrop = f.background && v < C ? f.background[v] : 0.0f;
+      rest[k] += value_grad[k][v] * (load(s + v * L) + through * backdrop);
+    }
+  }
+}
+
+template <int V>
+void differentiate_tile(const Frame& f, int64_t busy, int64_t first_slot) {
+  const Tile tile(f, f.busy_tiles[busy] / tiles_of(f), f.busy_tiles[busy] % tiles_of(f));
+  const int64_t at = tile.pose * (tiles_of(f) + 1) + tile.number;
+  const int64_t begin = f.tile_start[at], n = f.tile_start[at + 1] - begin;
+  const int64_t composited = f.composited[busy];
+  const int32_t* const chunk_slot = f.chunk_slot + tile.pose * (f.chunks + 1);
+  const int tile_x = tile.x0 / TILE_W, tile_y = tile.y0 / TILE_H;
+  const Record* const all = f.records + tile.pose * f.gaussians;
+
+  Record records[SEGMENT];
+  alignas(64) float sums[SEGMENT * 16];
+  vf value_grad[BLOCKS][V], through[BLOCKS], rest[BLOCKS];
+  Batch<V> batch;
+  load_gradients<V>(f, tile, f.states + busy * BLOCKS * (V + 1) * L, value_grad, rest);
+  for (int k = 0; k < BLOCKS; ++k) through[k] = splat(1.0f);
+  const Grid grid(tile);
+  for (int64_t done = 0; done < n; done += SEGMENT) {
+    const int m = (int)std::min<int64_t>(SEGMENT, n - done);
+    const int32_t* const numbers = f.sorted + begin + done;
+    std::memset(sums, 0, sizeof(float) * 16 * m);
+    copy_records(all, numbers, m, records);
+    if (done < composited) {
+      const Visits* const visits = f.visits + begin / GROUP + busy + done / GROUP;
+      for (int k = 0; k < BLOCKS; ++k)
+        differentiate_block<V>(records, visits, (m + GROUP - 1) / GROUP, k, grid.x + Grid::dx(k),
+                               grid.y + Grid::dy(k), value_grad[k], through[k], rest[k], batch,
+                               sums);
+    }
+    for (int j = 0; j < m; ++j) {
+      const Record& r = records[j];
+      const int64_t slot = chunk_slot[numbers[j] >> f.chunk_shift] + r.slot +
+                           (tile_y - r.tile_y) * r.tile_columns + (tile_x - r.tile_x);
+      std::memcpy(f.slots + (slot - first_slot) * SLOT<V>, sums + j * 16, sizeof(float) * SLOT<V>);
+    }
+  }
+}
+
+inline void store_covar_grads(const Frame& f, int64_t row, int64_t rows, const vf* g) {
+  if (f.covar_columns == 6) {  // each of the off-diagonal numbers stands for two entries
+    const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
+    store_rows<6>(f.covars_grad + row * 6, rows, six);
+  } else {
+    const vf nine[9] = {g[0], g[1], g[2], g[1], g[3], g[4], g[2], g[4], g[5]};
+    store_rows<9>(f.covars_grad + row * 9, rows, nine);
+  }
+}
+
+// Write `columns` vectors as rows, or add them to the rows that are there.
+inline void add_rows(float* to, int rows, int columns, bool add, const vf* from) {
+  for (int k = 0; k < rows; ++k)
+    for (int c = 0; c < columns; ++c)
+      to[k * columns + c] = (add ? to[k * columns + c] : 0.0f) + from[c][k];
+}
+
+inline void add_shared_covars(const Frame& f, int64_t i, int rows, bool add, const vf* g) {
+  if (f.covar_columns == 6) {
+    const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
+    add_rows(f.covars_grad + i * 6, rows, 6, add, six);
+  } else {
+    const vf nine[9] = {g[0], g[1], g[2], g[1], g[3], g[4], g[2], g[4], g[5]};
+    add_rows(f.covars_grad + i * 9, rows, 9, add, nine);
+  }
+}
+
+// Add up the slots of L Gaussians and carry them back through the projection, for poses [p0, p1).
+template <int V>
+void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t p0, int64_t p1,
+            int64_t first_slot) {
+  const int64_t N = f.gaussians, C = f.channels;
+  const int count = (int)std::min<int64_t>(rows, L);
+  vf opacity[1], opacity_grad = splat(0.0f), color_grad[MAX_VALUES] = {}, shared_grad[6] = {};
+  load_rows<1>(f.opacities + i, rows, opacity);
+  for (int64_t pose = p0; pose < p1; ++pose) {
+    alignas(64) float sums[L][16];
+    const Placement* const placements = f.placements + pose * N + i;
+    const int64_t chunk = f.chunk_slot[pose * (f.chunks + 1) + (i >> f.chunk_shift)] - first_slot;
+    vi seen = {};
+    for (int k = 0; k < count; ++k) {
+      const Placement p = placements[k];
+      const int slots = (p.x1 - p.x0) * (p.y1 - p.y0);
+      const float* from = f.slots + (chunk + p.slot) * SLOT<V>;
+      float sum[SLOT<V>] = {};
+      for (int j = 0; j < slots; ++j, from += SLOT<V>)
+        for (int q = 0; q < SLOT<V>; ++q) sum[q] += from[q];
+      std::memcpy(sums[k], sum, sizeof sum);
+      seen[k] = slots ? -1 : 0;
+    }
+    vf s[16], grad[3] = {}, covar_grad[6] = {}, pull[2] = {}, abs_pull[2] = {};
+    for (int part = 0; part < (SLOT<V> + L - 1) / L; ++part) {
+      for (int k = 0; k < L; ++k) s[part * L + k] = k < count ? load(sums[k] + part * L) : vf{};
+      transpose(s + part * L);
+    }
+    if (any(seen)) {
+      vf mean[3], covar[6];
+      load_rows<3>(f.means + (pose * N + i) * 3, rows, mean);
+      load_covars(f, pose, i, rows, covar);
+      const Projection p(cam, mean, covar);
+      const vf one = splat(1.0f);
+      // A Gaussian left out may have any conic; its gradient is zero whatever that is.
+      const vf kxx = only(seen, p.conic_xx), kxy = only(seen, p.conic_xy), kyy = only(seen, p.conic_yy);
+      opacity_grad += only(seen, s[S0] / (seen ? opacity[0] : one));
+      for (int64_t c = 0; c < C; ++c) color_grad[c] += s[SV + c];
+      pull[0] = kxx * s[SX] + kxy * s[SY], pull[1] = kxy * s[SX] + kyy * s[SY];
+      // In base 2 the slopes carry a factor -1 / ln 2.
+      abs_pull[0] = LN2 * s[SV + V], abs_pull[1] = LN2 * s[SV + V + 1];
+      // d covariance = 1/2 K S K
+      const vf t00 = kxx * s[SXX] + kxy * s[SXY], t01 = kxx * s[SXY] + kxy * s[SYY];
+      const vf t10 = kxy * s[SXX] + kyy * s[SXY], t11 = kxy * s[SXY] + kyy * s[SYY];
+      const vf v00 = 0.5f * (t00 * kxx + t01 * kxy), v01 = 0.5f * (t00 * kxy + t01 * kyy);
+      const vf v11 = 0.5f * (t10 * kxy + t11 * kyy);
+      vf w0[3], w1[3];  // V M
+      for (int k = 0; k < 3; ++k) {
+        w0[k] = v00 * p.m0[k] + v01 * p.m1[k];
+        w1[k] = v01 * p.m0[k] + v11 * p.m1[k];
+      }
+      const int row_of[6] = {0, 0, 0, 1, 1, 2}, column_of[6] = {0, 1, 2, 1, 2, 2};
+      for (int k = 0; k < 6; ++k) {
+        const int a = row_of[k], b = column_of[k];
+        covar_grad[k] = only(seen, p.m0[a] * w0[b] + p.m1[a] * w1[b]);
+      }
+      // d M = 2 V M S; only its products with the rows of the rotation are needed.
+      vf q00 = {}, q02 = {}, q11 = {}, q12 = {};
+      for (int k = 0; k < 3; ++k) {
+        const vf d0 = 2.0f * (v00 * p.s0[k] + v01 * p.s1[k]);
+        const vf d1 = 2.0f * (v01 * p.s0[k] + v11 * p.s1[k]);
+        q00 += d0 * cam.r[0][k], q02 += d0 * cam.r[2][k];
+        q11 += d1 * cam.r[1][k], q12 += d1 * cam.r[2][k];
+      }
+      const vf scale_x = cam.fx * p.rz, scale_y = cam.fy * p.rz;
+      // M_0 = fx rz (R_0 - clamped_x R_2), x = fx slope_x + cx, slope_x = p_x rz
+      const vi free_x = p.slope_x == p.clamped_x, free_y = p.slope_y == p.clamped_y;
+      const vf slope_x_grad = cam.fx * pull[0] - only(free_x, scale_x * q02);
+      const vf slope_y_grad = cam.fy * pull[1] - only(free_y, scale_y * q12);
+      const vf scale_grad =
+          cam.fx * (q00 - p.clamped_x * q02) + cam.fy * (q11 - p.clamped_y * q12);
+      const vf x_grad = p.rz * slope_x_grad, y_grad = p.rz * slope_y_grad;
+      vf z_grad = -p.rz * (p.slope_x * slope_x_grad + p.slope_y * slope_y_grad + p.rz * scale_grad);
+      if (f.depth) z_grad += s[SV + C];
+      for (int k = 0; k < 3; ++k)
+        grad[k] = only(seen, cam.r[0][k] * x_grad + cam.r[1][k] * y_grad + cam.r[2][k] * z_grad);
+    }
+    if (f.means_grad) store_rows<3>(f.means_grad + (pose * N + i) * 3, rows, grad);
+    if (f.means2d_grad) store_rows<2>(f.means2d_grad + (pose * N + i) * 2, rows, pull);
+    if (f.means2d_absgrad) store_rows<2>(f.means2d_absgrad + (pose * N + i) * 2, rows, abs_pull);
+    if (f.covars_grad && !f.covars_shared) store_covar_grads(f, pose * N + i, rows, covar_grad);
+    for (int k = 0; k < 6; ++k) shared_grad[k] += covar_grad[k];
+  }
+  // What the poses share is summed over them; Groups of poses follow one another.
+  if (f.opacities_grad) add_rows(f.opacities_grad + i, count, 1, p0 > 0, &opacity_grad);
+  if (f.colors_grad) add_rows(f.colors_grad + i * C, count, (int)C, p0 > 0, color_grad);
+  if (f.covars_grad && f.covars_shared) add_shared_covars(f, i, count, p0 > 0, shared_grad);
+}
+
+template <int V>
+void differentiate(const Frame& f) {
+  const Camera cam(f);
+  const int64_t groups_of_lanes = (f.gaussians + L - 1) / L;
+  for (int64_t p0 = 0, p1; p0 < f.poses; p0 = p1) {
+    // As many poses at once as have room for their slots, so that these stay in the cache.
+    const int64_t first_slot = f.chunk_slot[p0 * (f.chunks + 1)];
+    p1 = p0 + 1;
+    while (p1 < f.poses &&
+           f.chunk_slot[p1 * (f.chunks + 1) + f.chunks] - first_slot <= f.slot_capacity)
+      ++p1;
+#pragma omp parallel num_threads((int)f.threads)
+    {
+#pragma omp for schedule(dynamic, 1)
+      for (int64_t i = f.busy_start[p0]; i < f.busy_start[p1]; ++i)
+        differentiate_tile<V>(f, i, first_slot);
+#pragma omp for schedule(static)
+      for (int64_t i = 0; i < groups_of_lanes; ++i)
+        gather<V>(f, cam, i * L, f.gaussians - i * L, p0, p1, first_slot);
+    }
+  }
+}
+
+}  // namespace
+
+extern "C" {
+
+int64_t frame_bytes() { return sizeof(Frame); }
+int64_t lanes() { return L; }
+int64_t tile_width() { return TILE_W; }
+int64_t tile_height() { return TILE_H; }
+int64_t visits_bytes() { return sizeof(Visits); }
+int64_t visits_group() { return GROUP; }
+int64_t states_floats(int64_t values) { return BLOCKS * (std::max<int64_t>(values, 3) + 1) * L; }
+int64_t slot_floats(int64_t values) {
+  return values <= 3 ? SLOT<3> : values == 4 ? SLOT<4> : SLOT<5>;
+}
+
+// Returns which inputs are not finite (NotFinite), or TOO_MANY_PAIRS; 0 if all is well.
+int64_t project(Frame* frame) {
+  Frame& f = *frame;
+  const int64_t tiles = tiles_of(f), items = f.poses * f.chunks;
+  const Camera cam(f);
+  int bad = 0;
+  int64_t pairs = 0;
+#pragma omp parallel for schedule(dynamic, 1) num_threads((int)f.threads) reduction(| : bad) \
+    reduction(+ : pairs)
+  for (int64_t item = 0; item < items; ++item) {
+    const int64_t pose = item / f.chunks, chunk = item % f.chunks;
+    const int64_t begin = chunk << f.chunk_shift;
+    const int64_t end = std::min(f.gaussians, (chunk + 1) << f.chunk_shift);
+    int32_t* const histogram = f.histogram + item * tiles;
+    std::memset(histogram, 0, sizeof(int32_t) * tiles);
+    int64_t found;
+    bad |= project_chunk(f, cam, pose, begin, end, histogram, found);
+    f.chunk_slot[pose * (f.chunks + 1) + chunk] = (int32_t)found;
+    pairs += found;
+  }
+  if (bad) return bad;
+  if (pairs > INT32_MAX) return TOO_MANY_PAIRS;
+
+  int32_t slot = 0;
+  f.largest = 0;
+  for (int64_t pose = 0; pose < f.poses; ++pose) {
+    int32_t* const chunk_slot = f.chunk_slot + pose * (f.chunks + 1);
+    const int32_t first = slot;
+    for (int64_t chunk = 0; chunk < f.chunks; ++chunk) {
+      const int32_t found = chunk_slot[chunk];
+      chunk_slot[chunk] = slot;
+      slot += found;
+    }
+    chunk_slot[f.chunks] = slot;
+    f.largest = std::max<int64_t>(f.largest, slot - first);
+  }
+  // A pose's pairs lie together, tile by tile; within a tile chunk by chunk.
+#pragma omp parallel for schedule(static) num_threads((int)f.threads)
+  for (int64_t pose = 0; pose < f.poses; ++pose) {
+    int32_t* const start = f.tile_start + pose * (tiles + 1);
+    int32_t* const histogram = f.histogram + pose * f.chunks * tiles;
+    int32_t at = f.chunk_slot[pose * (f.chunks + 1)], busy = 0;
+    for (int64_t t = 0; t < tiles; ++t) {
+      start[t] = at;
+      for (int64_t chunk = 0; chunk < f.chunks; ++chunk) {
+        const int32_t found = histogram[chunk * tiles + t];
+        histogram[chunk * tiles + t] = at;
+        at += found;
+      }
+      f.busy_index[pose * tiles + t] = at > start[t] ? busy++ : -1;
+    }
+    start[tiles] = at;
+    f.busy_start[pose] = busy;
+  }
+  int32_t busy = 0;
+  for (int64_t pose = 0; pose < f.poses; ++pose) {
+    const int32_t found = f.busy_start[pose];
+    f.busy_start[pose] = busy;
+    for (int64_t t = 0; busy && t < tiles; ++t)
+      if (f.busy_index[pose * tiles + t] >= 0) f.busy_index[pose * tiles + t] += busy;
+    busy += found;
+  }
+  f.busy_start[f.poses] = busy;
+  f.pairs = pairs;
+  f.busy = busy;
+  return 0;
+}
+
+void forward(Frame* frame) {
+  const Frame& f = *frame;
+  const int64_t tiles = tiles_of(f), items = f.poses * f.chunks;
+#pragma omp parallel for schedule(dynamic, 1) num_threads((int)f.threads)
+  for (int64_t item = 0; item < items; ++item) {
+    const int64_t pose = item / f.chunks, chunk = item % f.chunks;
+    scatter_chunk(f, pose, chunk << f.chunk_shift,
+                  std::min(f.gaussians, (chunk + 1) << f.chunk_shift), f.histogram + item * tiles);
+  }
+  for (int64_t i = 0; f.keep && i < f.poses * tiles; ++i)
+    if (f.busy_index[i] >= 0) f.busy_tiles[f.busy_index[i]] = (int32_t)i;
+  const int64_t values = values_of(f);
+  if (values <= 3) draw<3>(f);
+  else if (values == 4) draw<4>(f);
+  else draw<5>(f);
+}
+
+void backward(Frame* frame) {
+  const Frame& f = *frame;
+  const int64_t values = values_of(f);
+  if (values <= 3) differentiate<3>(f);
+  else if (values == 4) differentiate<4>(f);
+  else differentiate<5>(f);
+}
+
+// The background shows through every pixel: the sum of its gradient times what is not covered. The
+// rows are cut into as many parts whatever the number of threads, so the sum is always the same.
+void backward_background(Frame* frame) {
+  const Frame& f = *frame;
+  constexpr int PARTS = 32;
+  double sums[PARTS][4] = {};
+  const int64_t rows = (f.average ? 1 : f.poses) * f.height, C = f.channels;
+#pragma omp parallel for schedule(static) num_threads((int)f.threads)
+  for (int64_t part = 0; part < PARTS; ++part)
+    for (int64_t y = rows * part / PARTS; y < rows * (part + 1) / PARTS; ++y) {
+      float row[4] = {};
+      for (int64_t i = y * f.width; i < (y + 1) * f.width; ++i)
+        for (int64_t c = 0; c < C; ++c) row[c] += f.image_grad[i * C + c] * (1.0f - f.alpha[i]);
+      for (int64_t c = 0; c < C; ++c) sums[part][c] += row[c];
+    }
+  for (int64_t c = 0; c < C; ++c) {
+    double sum = 0;
+    for (int part = 0; part < PARTS; ++part) sum += sums[part][c];
+    f.background_grad[c] = (float)sum;
+  }
+}
+
+}  // extern "C"

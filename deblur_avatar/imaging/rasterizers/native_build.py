@@ -1,0 +1,127 @@
+"""Native code built where it runs: compiled on first use, kept for the next.
+
+The library is filed under everything that could change it (source, flags, compiler, processor), so
+it never needs to be invalidated, and written to a temporary folder first, so that two processes may
+build at once.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+# Overrides where libraries are kept.
+CACHE_VARIABLE: Final = "DEBLUR_AVATAR_CACHE"
+
+# Further compiler flags: sanitizers, other instruction sets.
+FLAGS_VARIABLE: Final = "DEBLUR_AVATAR_KERNEL_FLAGS"
+
+# What `-ffast-math` would turn on, except flushing denormal numbers to zero: gcc before 13 links
+# that in as start-up code, and it then holds for the whole process.
+FLAGS: Final = (
+    *("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-fvisibility=hidden"),
+    *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"),
+    *("-fassociative-math", "-freciprocal-math", "-ffinite-math-only"),
+)
+OPENMP: Final = "-fopenmp"
+
+COMPILE_TIMEOUT = 300  # seconds; it takes three
+
+
+class BuildError(RuntimeError):
+    """No compiler, or one that cannot compile the source."""
+
+
+def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:
+    """Compile a C++ source, unless that has been done before, and load it.
+
+    Args:
+        source: one self-contained file with a plain C interface.
+        defines: preprocessor definitions, `NAME=value`.
+
+    Raises:
+        BuildError: there is no compiler, or it fails; with what it said.
+    """
+    compiler = find_compiler()
+    flags = [*FLAGS, *(f"-D{define}" for define in defines)]
+    flags += shlex.split(os.environ.get(FLAGS_VARIABLE, ""))
+    library = cache_folder() / f"{source.stem}-{_key(source, compiler, flags)}.so"
+    if not library.exists():
+        try:
+            _compile(source, compiler, [*flags, OPENMP], library)
+        except BuildError:
+            # Some compilers come without OpenMP; one thread is better than none.
+            _compile(source, compiler, flags, library)
+    return ctypes.CDLL(str(library))
+
+
+def find_compiler() -> list[str]:
+    """Find the C++ compiler: `CXX`, or what the system calls one.
+
+    Raises:
+        BuildError: there is none.
+    """
+    if named := os.environ.get("CXX"):
+        command = shlex.split(named)
+        if shutil.which(command[0]) is None:
+            raise BuildError(f"CXX names {command[0]!r}, which is not a program on PATH")
+        return command
+    for name in ("c++", "g++", "clang++"):
+        if shutil.which(name):
+            return [name]
+    raise BuildError("no C++ compiler: none of c++, g++, clang++ is on PATH; set CXX to yours")
+
+
+def cache_folder() -> Path:
+    """Say where libraries are kept."""
+    if folder := os.environ.get(CACHE_VARIABLE):
+        return Path(folder)
+    root = os.environ.get("XDG_CACHE_HOME")
+    return (Path(root) if root else Path.home() / ".cache") / "deblur_avatar"
+
+
+def _compile(source: Path, compiler: list[str], flags: list[str], library: Path) -> None:
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        # Beside its final place: a move within one file system is atomic.
+        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+            built = Path(folder) / library.name
+            command = [*compiler, *flags, str(source), "-o", str(built)]
+            subprocess.run(
+                command, check=True, capture_output=True, text=True, timeout=COMPILE_TIMEOUT
+            )
+            built.replace(library)
+    except subprocess.CalledProcessError as error:
+        raise BuildError(f"{shlex.join(command)} failed:\n{error.stderr}") from error
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise BuildError(f"cannot build {source.name}: {error}") from error
+
+
+def _key(source: Path, compiler: list[str], flags: list[str]) -> str:
+    parts = [source.read_text(), *compiler, *flags, _version(compiler), _processor()]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def _version(compiler: list[str]) -> str:
+    try:
+        command = [*compiler, "--version"]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise BuildError(f"{shlex.join(command)} failed: {error}") from error
+
+
+def _processor() -> str:
+    """What `-march=native` looks at: a home folder may be shared by different machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"
+    told = {"model name", "flags", "Features", "CPU implementer", "CPU part"}
+    return "\n".join(sorted({line for line in lines if line.split("\t")[0].strip() in told}))

@@ -1,0 +1,157 @@
+"""Arrays from other people's pickle files, without running what those files ask to run.
+
+A pickle is a program. This reader admits the few classes that data files of the field are made of
+and refuses every other name before it is looked up, so that nothing of the file is executed:
+numpy arrays, dtypes and scalars; scipy's sparse matrices and chumpy's arrays, for which plain
+records stand in (neither package is imported, no code of theirs runs); plain containers.
+"""
+
+import pickle
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from deblur_avatar.errors import ArtifactError
+
+
+class Record:
+    """Stands in for an object of a class that is known by name only; holds its pickled state."""
+
+    name = ""
+
+    def __init__(self, *arguments: object) -> None:
+        self.state: dict[str, Any] = {}
+
+    def __setstate__(self, state: object) -> None:
+        self.state = dict(state) if isinstance(state, dict) else {}
+
+
+def load_arrays(path: Path) -> dict[str, Any]:
+    """Read a pickled dictionary, written by Python 2 or 3.
+
+    Arrays come as numpy arrays, sparse matrices and chumpy arrays too. A chumpy expression whose
+    value would have to be computed stays a `Record`.
+
+    Raises:
+        ArtifactError: if the file is missing, damaged, not a dictionary, or names a class that is
+            not on the list; nothing of it has been executed then.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            content = _RestrictedUnpickler(file, encoding="latin1").load()
+    except OSError as error:
+        raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
+    except _Refused as error:
+        raise ArtifactError(
+            f"{path} wants to run {error}, which no data file needs; nothing was executed. "
+            "Take the file from its publisher, or save it again as .npz"
+        ) from None
+    except Exception as error:
+        # A damaged pickle can raise nearly anything from inside the standard library.
+        raise ArtifactError(f"{path} is not a readable pickle file: {error!r}") from None
+    if not isinstance(content, dict):
+        raise ArtifactError(f"{path} holds a {type(content).__name__}, wanted a dictionary")
+    return {str(key): _plain(value, f"{path}: {key}") for key, value in content.items()}
+
+
+class _Refused(Exception):  # noqa: N818
+    """A class or function outside the list was named."""
+
+
+class _RestrictedUnpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in _ADMITTED:
+            return _ADMITTED[module, name]
+        root = module.split(".")[0]
+        if root == "chumpy" or (module.startswith("scipy.sparse") and name in _SPARSE):
+            return type("Record", (Record,), {"name": f"{root}.{name}"})
+        raise _Refused(f"{module}.{name}")
+
+    def persistent_load(self, key: object) -> Any:
+        raise _Refused(f"a persistent object {key!r}")
+
+
+def _empty_array(kind: object, shape: object, code: object) -> NDArray[Any]:
+    """What numpy's pickles start from; the content is set afterwards."""
+    return np.ndarray((0,), np.int8)
+
+
+def _array_of_buffer(
+    buffer: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: str = "C"
+) -> NDArray[Any]:
+    """What numpy's pickles of protocol 5 call; numpy itself refuses to make objects of bytes."""
+    flat: NDArray[Any] = np.frombuffer(buffer, dtype)
+    return flat.reshape(shape, order="F" if order == "F" else "C")
+
+
+def _scalar(dtype: np.dtype[Any], content: bytes | str) -> Any:
+    # Python 2's bytes arrive as text.
+    return np.frombuffer(content.encode("latin1") if isinstance(content, str) else content, dtype)[
+        0
+    ]
+
+
+def _reconstruct(kind: type, base: type, state: object) -> Record:
+    """What Python 2 wrote for an instance; only records may be made so."""
+    if not (isinstance(kind, type) and issubclass(kind, Record)):
+        raise _Refused(f"the constructor of {kind!r}")
+    return kind()
+
+
+def _encode(text: str, encoding: str = "latin1") -> bytes:
+    """How Python 3 writes bytes in the old protocols."""
+    if encoding not in ("latin1", "latin-1"):
+        raise _Refused(f"an encoding {encoding!r}")
+    return text.encode("latin1")
+
+
+_SPARSE = ("csc_matrix", "csr_matrix", "csc_array", "csr_array")
+_NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray")
+_NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
+_ADMITTED: dict[tuple[str, str], Any] = {
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): np.dtype,
+    **{(module, "_reconstruct"): _empty_array for module in _NUMPY},
+    **{(module, "scalar"): _scalar for module in _NUMPY},
+    **{(module, "_frombuffer"): _array_of_buffer for module in _NUMERIC},
+    ("copy_reg", "_reconstructor"): _reconstruct,
+    ("copyreg", "_reconstructor"): _reconstruct,
+    ("_codecs", "encode"): _encode,
+    ("collections", "OrderedDict"): OrderedDict,
+    **{
+        (module, kind.__name__): kind
+        for module in ("__builtin__", "builtins")
+        for kind in (object, set, frozenset, bytes)
+    },
+}
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Turn records of known meaning into arrays."""
+    if not isinstance(value, Record):
+        return value
+    try:
+        return _array_of_record(value)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise ArtifactError(f"{where}: a damaged {value.name}: {error!r}") from None
+
+
+def _array_of_record(record: Record) -> Any:
+    state = record.state
+    if record.name == "chumpy.Ch":
+        return np.asarray(state["x"])
+    if record.name == "chumpy.Select":
+        source = state["a"]
+        flat = np.ravel(_array_of_record(source) if isinstance(source, Record) else source)
+        return flat[np.asarray(state["idxs"])].reshape(state["preferred_shape"])
+    if record.name.startswith("scipy."):
+        shape = state["_shape"] if "_shape" in state else state["shape"]
+        kind = sparse.csc_array if record.name.startswith("scipy.csc") else sparse.csr_array
+        matrix = kind((state["data"], state["indices"], state["indptr"]), shape=shape)
+        matrix.check_format(full_check=True)  # indices out of range would corrupt memory
+        return matrix.toarray()
+    return record

@@ -1,0 +1,55 @@
+"""The last stage of fitting: sharp and averaged renders are blended where the body moved."""
+
+import torch
+
+from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
+from deblur_avatar.avatar.model import AvatarModel
+from deblur_avatar.avatar.motion import trajectory_from_artifact
+from deblur_avatar.config import FusionParams, ScheduleParams, StartParams
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
+from deblur_avatar.fitting.fusion_network import FusionNetwork
+
+
+def fuse(
+    observations: Observations,
+    avatar: Avatar,
+    motion: Motion,
+    checkpoint: Checkpoint,
+    start: StartParams,
+    params: FusionParams,
+    schedule: ScheduleParams,
+    *,
+    device: torch.device,
+    generator: torch.Generator,
+    report: Report,
+) -> tuple[Avatar, Motion, dict[str, float]]:
+    """Finish the avatar and its motion.
+
+    Returns:
+        The avatar, its motion, and what it cost.
+
+    Raises:
+        ConfigError: if fusion is asked for without its network, or of an avatar without pose code.
+    """
+    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    trajectory = trajectory_from_artifact(motion).to(device)
+    network = None
+    if params.supervision == "fused":
+        if params.network is None or start.model.nonrigid is None:
+            raise ConfigError(
+                "fusion.supervision is fused, which needs fusion.network and an avatar with a "
+                "non-rigid network (its pose code conditions the blend)"
+            )
+        network = FusionNetwork(
+            model.pose_encoder.size, len(observations.frames), params.network.frame_codes,
+            params.network.color_features, params.network.hidden,
+        ).to(device)  # fmt: skip
+    fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator, network)
+    fit.restore(checkpoint)
+    seconds = fit.run(
+        schedule.trajectory + 1, schedule.fusion, params.supervision, params.mask, report
+    )
+    refined = trajectory.to_artifact(model.betas, observations.timestamps)
+    cost = {"seconds": seconds, "gaussians": len(model.gaussians)}
+    return model.to_artifact(schedule.fusion), refined, cost

@@ -1,0 +1,255 @@
+"""From blurred frames to what fitting sees: straight, cropped pictures, mattes, one pose a frame.
+
+Three sets of observations share cameras, crops and the split: the blurred frames, the sharp frames
+with the same poses (for `oracle`), and the sharp frames with exact poses (for `ceiling`).
+"""
+
+import logging
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from jaxtyping import Bool, UInt8
+from torch import Tensor
+
+from deblur_avatar.artifacts import BlurryClip, Body, Cameras, Observations, Poses
+from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.config import PreprocessParams
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.fitting.body_fit import fit_body
+from deblur_avatar.fitting.landmarks import Landmarks, PersonDetector
+from deblur_avatar.geometry.cameras import project
+from deblur_avatar.imaging.exposure import Light, frames_before
+from deblur_avatar.imaging.matting import background_plate, lift_person
+from deblur_avatar.imaging.resampling import (
+    Crop,
+    crop_and_scale,
+    crop_and_scale_intrinsics,
+    crop_around,
+    undistort,
+)
+
+logger = logging.getLogger(__name__)
+
+FILLED = 128  # matte, of 255: a frame without a single pixel this full shows no person
+
+
+@dataclass(frozen=True)
+class Preprocessed:
+    """What `preprocess` makes; `sharp` and `exact` only where the clip knows them."""
+
+    blurred: Observations
+    sharp: Observations | None
+    exact: Observations | None
+    metrics: dict[str, Any]
+
+    def save(self, folder: Path) -> None:
+        """Write `blurred`, `sharp` and `exact` below a folder; what is not known is not there."""
+        for name in ("blurred", "sharp", "exact"):
+            observations: Observations | None = getattr(self, name)
+            if observations is not None:
+                observations.save(folder / name)
+            elif (folder / name).exists():
+                shutil.rmtree(folder / name)  # of an earlier run that knew more
+
+
+def preprocess(
+    clip: BlurryClip,
+    body: Body,
+    params: PreprocessParams,
+    *,
+    image_height: int,
+    detect: PersonDetector,
+) -> Preprocessed:
+    """Bring a blurred clip into the form that fitting sees.
+
+    Frames no taller than `image_height` are kept whole, so that a clip made at the size wanted
+    comes out unchanged; taller ones are cropped to the person's boxes over the whole clip and
+    scaled down.
+
+    Args:
+        clip: as `blur` made it.
+        body: whom to pose.
+        params: of the scene.
+        image_height: pixels, of the schedule.
+        detect: asked only where masks or poses are to be estimated.
+
+    Raises:
+        ArtifactError: if given poses or masks are missing, or no frame shows a person.
+    """
+    clip = _straightened(clip)
+    row = clip.recorded.index(clip.train_camera)
+    people: list[Landmarks] = []
+    if "estimated" in (params.masks, params.poses):
+        people = [detect(frames) for frames in clip.frames]
+    mattes, sharp_mattes = _mattes(clip, row, params, people, detect)
+    shown = _frames_with_person(mattes, sharp_mattes)
+    fit: dict[str, Any] = {}
+    if params.poses == "given":
+        poses = _checked(clip.initial, "initial", body)
+    else:
+        poses, fit = fit_body(body, clip.cameras, clip.recorded, people)
+
+    crops, cameras = _crops(clip.cameras, body, poses, params.margin, image_height)
+    crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
+    plate = background_plate(clip.frames[row], mattes) if params.background == "median" else None
+
+    def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
+        if plate is not None:
+            frames = lift_person(frames, mattes, *plate, cast(Light, clip.light))
+        return crop_and_scale(frames, crop, size), crop_and_scale(mattes, crop, size)
+
+    train, validation = _split(clip, shown, params.validation_stride)
+    frames, cut_mattes = cut_out(clip.frames[row], mattes)
+    blurred = Observations(
+        frames=frames,
+        mattes=cut_mattes,
+        cameras=cameras,
+        crops=torch.tensor(crops, dtype=torch.float32),
+        train_camera=clip.train_camera,
+        body=body,
+        poses=poses,
+        weights=shown.float(),
+        frame_indices=clip.frame_indices,
+        timestamps=clip.timestamps,
+        exposure=clip.exposure,
+        light=clip.light,
+        train=train,
+        validation=validation,
+    )
+    sharp, exact = None, None
+    if clip.sharp_frames is not None and sharp_mattes is not None:
+        frames, cut_mattes = cut_out(clip.sharp_frames, sharp_mattes)
+        sharp = replace(blurred, frames=frames, mattes=cut_mattes, exposure=0.0)
+        if clip.exact is not None:
+            exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
+    metrics = {
+        "frames": {
+            "total": len(shown),
+            "without_person": int((~shown).sum()),
+            "train": len(train),
+            "validation": len(validation),
+        },
+        "fit": fit,
+    }
+    return Preprocessed(blurred=blurred, sharp=sharp, exact=exact, metrics=metrics)
+
+
+def _straightened(clip: BlurryClip) -> BlurryClip:
+    """Take lens distortion out of everything; without distortion the very clip."""
+    cameras = clip.cameras
+    if not cameras.distortion.any():
+        return clip
+
+    def straight(images: Tensor, camera: int) -> Tensor:
+        return undistort(images, cameras.Ks[camera], cameras.distortion[camera])
+
+    def all_straight(stacks: Tensor) -> Tensor:
+        rows = zip(stacks, clip.recorded, strict=True)
+        return torch.stack([straight(stack, camera) for stack, camera in rows])
+
+    def train_straight(images: Tensor | None) -> Tensor | None:
+        return None if images is None else straight(images, clip.train_camera)
+
+    return replace(
+        clip,
+        frames=all_straight(clip.frames),
+        mattes=None if clip.mattes is None else all_straight(clip.mattes),
+        sharp_frames=train_straight(clip.sharp_frames),
+        sharp_mattes=train_straight(clip.sharp_mattes),
+        cameras=replace(cameras, distortion=torch.zeros_like(cameras.distortion)),
+    )
+
+
+def _mattes(
+    clip: BlurryClip,
+    row: int,
+    params: PreprocessParams,
+    people: list[Landmarks],
+    detect: PersonDetector,
+) -> tuple[UInt8[Tensor, "F H W"], UInt8[Tensor, "F H W"] | None]:
+    """Mattes of the training camera's blurred frames, and of its sharp ones where there are any."""
+    if params.masks == "given":
+        if clip.mattes is None:
+            raise ArtifactError("the clip has no mattes; set preprocess.masks to estimated")
+        return clip.mattes[row], clip.sharp_mattes
+    if clip.sharp_frames is None:
+        return people[row].mattes, None
+    return people[row].mattes, detect(clip.sharp_frames).mattes
+
+
+def _checked(poses: Poses | None, name: str, body: Body) -> Poses:
+    """Poses that a clip brought along, if they are this body's."""
+    if poses is None:
+        raise ArtifactError(f"the clip has no {name} poses; set preprocess.poses to estimated")
+    wanted = (len(body.parents) - 1, body.shape_dirs.shape[2])
+    found = (poses.body_pose.shape[1], len(poses.betas))
+    if found != wanted:
+        raise ArtifactError(
+            f"{name} poses have {found[0]} joints and {found[1]} shape numbers, the body has "
+            f"{wanted[0]} and {wanted[1]}; bake body and clip from the same parameters"
+        )
+    return poses
+
+
+def _frames_with_person(
+    mattes: UInt8[Tensor, "F H W"], sharp_mattes: UInt8[Tensor, "F H W"] | None
+) -> Bool[Tensor, " F"]:
+    """Which frames show someone, blurred and sharp alike."""
+    shown = mattes.flatten(1).amax(1) >= FILLED
+    if sharp_mattes is not None:
+        shown = shown & (sharp_mattes.flatten(1).amax(1) >= FILLED)
+    if not shown.any():
+        raise ArtifactError("no frame shows a person: every mask is black; check masks and videos")
+    if not shown.all():
+        missing = torch.nonzero(~shown).flatten().tolist()
+        logger.warning("%d frames without a person are skipped: %s", len(missing), missing)
+    return shown
+
+
+def _crops(
+    cameras: Cameras, body: Body, poses: Poses, margin: float, image_height: int
+) -> tuple[list[Crop], Cameras]:
+    """A crop for each camera, and the cameras that see the crops scaled to `image_height`."""
+    vertices = posed_vertices(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    crops, Ks, sizes = [], [], []
+    for index, name in enumerate(cameras.names):
+        width, height = _size(cameras, index)
+        crop = (0, 0, width, height)
+        if height > image_height:
+            pixels, _ = project(vertices, cameras.Ks[index], cameras.viewmats[index])
+            boxes = torch.cat([pixels.amin(1), pixels.amax(1)], dim=-1)
+            try:
+                crop = crop_around(boxes, margin, (width, height))
+            except ValueError as error:
+                raise ArtifactError(f"camera {name}: {error}; check the calibration") from error
+        shrink = min(1.0, image_height / crop[3])
+        size = (max(1, round(crop[2] * shrink)), max(1, round(crop[3] * shrink)))
+        crops.append(crop)
+        sizes.append(size)
+        Ks.append(crop_and_scale_intrinsics(cameras.Ks[index], crop, size))
+    return crops, replace(cameras, Ks=torch.stack(Ks), sizes=torch.tensor(sizes))
+
+
+def _size(cameras: Cameras, index: int) -> tuple[int, int]:
+    """Width and height of a camera's pictures."""
+    width, height = cameras.sizes[index].tolist()
+    return width, height
+
+
+def _split(
+    clip: BlurryClip, shown: Bool[Tensor, " F"], stride: int
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Positions to train and to validate on, the latter every `stride`-th.
+
+    Frames whose shutter was still open when the held-out part began belong to neither.
+    """
+    usable: tuple[int, ...] = tuple(range(len(shown)))
+    if clip.held_out_from < len(shown):
+        end = float(clip.timestamps[clip.held_out_from])
+        usable = frames_before(clip.timestamps, clip.exposure, end)
+    usable = tuple(index for index in usable if shown[index])
+    validation = tuple(index for index in usable if index % stride == stride // 2)
+    return tuple(index for index in usable if index not in validation), validation

@@ -1,0 +1,50 @@
+"""The second stage of fitting: motion inside each exposure joins the unknowns."""
+
+import torch
+
+from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
+from deblur_avatar.avatar.model import AvatarModel
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion, Trajectory, instants
+from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
+from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
+
+
+def fit_trajectory(
+    observations: Observations,
+    avatar: Avatar,
+    checkpoint: Checkpoint,
+    start: StartParams,
+    params: TrajectoryParams,
+    schedule: ScheduleParams,
+    *,
+    device: torch.device,
+    generator: torch.Generator,
+    report: Report,
+) -> tuple[Avatar, Motion, Checkpoint, dict[str, float]]:
+    """Fit renders averaged over the exposure (or sharp ones, by `params`) to the frames.
+
+    Returns:
+        The avatar, its motion, its optimisers' memory, and what it cost.
+    """
+    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    trajectory = new_trajectory(observations, params, generator).to(device)
+    fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator)
+    fit.restore(checkpoint)
+    seconds = fit.run(
+        schedule.warmup + 1, schedule.trajectory, params.supervision, params.mask, report
+    )
+    motion = trajectory.to_artifact(model.betas, observations.timestamps)
+    cost = {"seconds": seconds, "gaussians": len(model.gaussians)}
+    last = schedule.trajectory
+    return model.to_artifact(last), motion, fit.checkpoint(last), cost
+
+
+def new_trajectory(
+    observations: Observations, params: TrajectoryParams, generator: torch.Generator
+) -> Trajectory:
+    """The unknown motion, as far as it is known before fitting."""
+    poses = observations.poses
+    if params.motion == "pair":
+        u = instants(params.virtual_poses, params.quadrature)
+        return PairMotion(poses, u, params.start_noise, generator)
+    return FrameMotion(poses, refined=params.motion == "frame")

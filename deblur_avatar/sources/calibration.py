@@ -1,0 +1,181 @@
+"""How calibration files become cameras.
+
+One reader a kind of file, chosen by how the file's name ends. A reader turns its format's axes,
+units and pixel origin into those of `Cameras`: OpenCV axes, metres, the centre of the top left
+pixel at (0.5, 0.5).
+"""
+
+import math
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import torch
+
+from deblur_avatar.artifacts import Cameras
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.cameras import check_cameras
+
+PIXEL_CENTRE = 0.5  # both formats put the top left pixel's centre at 0
+
+
+class _Camera(NamedTuple):
+    name: str
+    K: np.ndarray
+    viewmat: np.ndarray
+    distortion: np.ndarray
+    size: tuple[int, int]
+
+
+def read_calibration(path: Path, count: int) -> Cameras:
+    """Read the calibration of `count` cameras, in the file's order.
+
+    Args:
+        path: `*.qca.txt` (Qualisys) or `*.toml` (Pose2Sim).
+        count: how many cameras the scene has.
+
+    Raises:
+        ArtifactError: naming the file and the camera, if it is missing or damaged, is of an
+            unknown kind, holds another number of cameras or one that cannot exist.
+    """
+    readers = [reader for ending, reader in READERS.items() if str(path).endswith(ending)]
+    if not readers:
+        raise ArtifactError(f"{path}: unknown kind of calibration; known are {', '.join(READERS)}")
+    if not path.is_file():
+        raise ArtifactError(f"no calibration {path}; check the scene's root and calibration")
+    try:
+        cameras = readers[0](path)
+    except (ElementTree.ParseError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ArtifactError(f"{path} is damaged: {error}") from error
+    if len(cameras) != count:
+        names = ", ".join(camera.name for camera in cameras)
+        raise ArtifactError(f"{path} has {len(cameras)} cameras ({names}), the scene {count}")
+    for camera in cameras:
+        numbers = torch.from_numpy(camera.K)[None], torch.from_numpy(camera.viewmat)[None]
+        try:
+            check_cameras(*numbers)
+        except ValueError as error:
+            reason = str(error).removeprefix("camera 0: ")
+            raise ArtifactError(f"{path}: camera {camera.name}: {reason}") from error
+    return Cameras(
+        Ks=_stacked([camera.K for camera in cameras]),
+        viewmats=_stacked([camera.viewmat for camera in cameras]),
+        distortion=_stacked([camera.distortion for camera in cameras]),
+        sizes=torch.tensor([camera.size for camera in cameras]),
+        names=tuple(camera.name for camera in cameras),
+    )
+
+
+def _stacked(arrays: list[np.ndarray]) -> torch.Tensor:
+    return torch.from_numpy(np.stack(arrays)).float()
+
+
+def _read_qualisys(path: Path) -> list[_Camera]:
+    """Qualisys Track Manager's XML.
+
+    Intrinsics are in 1/64 pixels. `r11`..`r33`, transposed, turn the camera's axes (+X right, +Y up,
+    -Z forward) into the world's; x, y, z is where the camera stands, millimetres.
+    """
+    return [_qualisys_camera(path, node) for node in ElementTree.parse(path).iter("camera")]
+
+
+def _qualisys_camera(path: Path, node: ElementTree.Element) -> _Camera:
+    name = node.get("serial", "without serial")
+
+    def number(element: str, attribute: str) -> float:
+        found = node.find(element)
+        value = None if found is None else found.get(attribute)
+        return _number(value, f"{path}: camera {name}: {element} {attribute}")
+
+    K = np.eye(3)
+    K[0, 0], K[1, 1] = (number("intrinsic", f"focalLength{axis}") / 64 for axis in "UV")
+    K[:2, 2] = [number("intrinsic", f"centerPoint{axis}") / 64 + PIXEL_CENTRE for axis in "UV"]
+    rotation = [[number("transform", f"r{row}{column}") for column in "123"] for row in "123"]
+    centre = np.array([number("transform", axis) / 1000 for axis in "xyz"])
+    # Inverted, then turned by pi about X: from +Y up, -Z forward to OpenCV's axes.
+    opencv_from_world = np.diag([1.0, -1.0, -1.0]) @ np.array(rotation)
+    coefficients = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1",
+                    "tangentalDistortion2", "radialDistortion3")  # fmt: skip
+    edges = {edge: number("fov_video", edge) for edge in ("left", "top", "right", "bottom")}
+    size = (edges["right"] - edges["left"] + 1, edges["bottom"] - edges["top"] + 1)
+    return _Camera(
+        name=name,
+        K=K,
+        viewmat=_rigid(opencv_from_world, -opencv_from_world @ centre),
+        distortion=np.array([number("intrinsic", key) for key in coefficients]),
+        size=(round(size[0]), round(size[1])),
+    )
+
+
+def _read_pose2sim(path: Path) -> list[_Camera]:
+    """Pose2Sim's TOML: a table a camera, OpenCV's conventions, rotation as axis-angle, metres."""
+    tables = tomllib.loads(path.read_text())
+    return [
+        _pose2sim_camera(f"{path}: camera {key}", key, table)
+        for key, table in tables.items()
+        if isinstance(table, dict) and key != "metadata"
+    ]
+
+
+def _pose2sim_camera(where: str, key: str, table: Mapping[str, Any]) -> _Camera:
+    if table.get("fisheye", False):
+        raise ArtifactError(f"{where}: fisheye lenses are not modelled; undistort the video first")
+    K = _array(table, "matrix", where, (3, 3))
+    K[:2, 2] += PIXEL_CENTRE
+    distortion = _array(table, "distortions", where, (None,))
+    if not 4 <= len(distortion) <= 5:
+        raise ArtifactError(f"{where}: distortions must be 4 or 5 numbers, got {len(distortion)}")
+    rotation, _ = cv2.Rodrigues(_array(table, "rotation", where, (3,)))
+    size = _array(table, "size", where, (2,))
+    if not np.isfinite(size).all():
+        raise ArtifactError(f"{where}: size must be finite, got {size.tolist()}")
+    return _Camera(
+        name=str(table.get("name", key)),
+        K=K,
+        viewmat=_rigid(rotation, _array(table, "translation", where, (3,))),
+        distortion=np.pad(distortion, (0, 5 - len(distortion))),
+        size=(round(size[0]), round(size[1])),
+    )
+
+
+READERS: dict[str, Callable[[Path], list[_Camera]]] = {
+    ".qca.txt": _read_qualisys,
+    ".toml": _read_pose2sim,
+}
+
+
+def _array(
+    table: Mapping[str, Any], key: str, where: str, shape: tuple[int | None, ...]
+) -> np.ndarray:
+    if key not in table:
+        raise ArtifactError(f"{where}: {key} is missing")
+    try:
+        values = np.array(table[key], dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArtifactError(f"{where}: {key} must be numbers, got {table[key]!r}") from error
+    if len(values.shape) != len(shape) or any(
+        wanted not in (None, found) for wanted, found in zip(shape, values.shape, strict=True)
+    ):
+        raise ArtifactError(f"{where}: {key} must have shape {shape}, got {values.shape}")
+    return values
+
+
+def _number(text: str | None, where: str) -> float:
+    try:
+        value = float(text if text is not None else "")
+    except ValueError:
+        raise ArtifactError(f"{where} must be a number, got {text!r}") from None
+    if not math.isfinite(value):
+        raise ArtifactError(f"{where} must be finite, got {text!r}")
+    return value
+
+
+def _rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = translation
+    return viewmat

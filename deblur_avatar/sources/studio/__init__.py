@@ -1,0 +1,1 @@
+"""A synthetic clothed person, filmed from all sides, with exact truth."""

@@ -1,0 +1,96 @@
+"""How a video file becomes frames.
+
+Conventions. Frames are upright (the container's rotation is applied) 8-bit RGB; timestamps are the
+container's, in seconds.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import torch
+from av.error import FFmpegError
+from jaxtyping import Float64, UInt8
+from torch import Tensor
+
+from deblur_avatar.errors import ArtifactError
+
+
+@dataclass(frozen=True)
+class Video:
+    """Some frames of a file."""
+
+    frames: UInt8[Tensor, "F H W 3"]
+    timestamps: Float64[Tensor, " F"]  # seconds
+    recorded_size: tuple[int, int]  # width and height before scaling, pixels
+
+
+def read_video(path: Path, first: int, stop: int, height: int) -> Video:
+    """Read frames `first` to `stop` - 1 and scale them down to `height` rows as they come.
+
+    Args:
+        path: anything FFmpeg decodes.
+        first: number of the first frame wanted, from 0.
+        stop: one past the last.
+        height: rows wanted; frames that have no more are kept as they are.
+
+    Raises:
+        ArtifactError: if the file is missing, cannot be decoded, ends too early, or changes size.
+    """
+    frames: list[np.ndarray] = []
+    timestamps: list[float] = []
+    size: tuple[int, int] | None = None
+    count = 0
+    for image, seconds in _decode(path):
+        found = (image.shape[1], image.shape[0])
+        size = size or found
+        if found != size:
+            raise ArtifactError(f"{path}: frame {count} is {found}, those before it {size}")
+        if count >= first:
+            frames.append(_shrunk(image, height))
+            timestamps.append(seconds)
+        count += 1
+        if count == stop:
+            break
+    if count < stop or size is None:
+        raise ArtifactError(
+            f"{path} ends after {count} frames, wanted frames {first} to {stop - 1}; download it "
+            "again or ask for fewer frames"
+        )
+    return Video(
+        frames=torch.from_numpy(np.stack(frames)),
+        timestamps=torch.tensor(timestamps, dtype=torch.float64),
+        recorded_size=size,
+    )
+
+
+def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
+    """Decode upright frames and their times."""
+    if not Path(path).is_file():
+        raise ArtifactError(f"no video {path}; check the scene's root and videos")
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise ArtifactError(f"{path} holds no video")
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            for index, frame in enumerate(container.decode(stream)):
+                image = frame.to_ndarray(format="rgb24")
+                # PyAV: the angle by which the frame is to be turned anticlockwise.
+                upright = np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90) % 4))
+                seconds = frame.time
+                if seconds is None:
+                    seconds = index / float(stream.average_rate or 1)
+                yield upright, seconds
+    except (FFmpegError, OSError) as error:
+        raise ArtifactError(f"{path} cannot be decoded: {error}; download it again") from error
+
+
+def _shrunk(image: UInt8[np.ndarray, "H W 3"], height: int) -> UInt8[np.ndarray, "h w 3"]:
+    if image.shape[0] <= height:
+        return image
+    width = round(image.shape[1] * height / image.shape[0])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)

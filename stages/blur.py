@@ -1,0 +1,21 @@
+"""Blur a sharp clip as a slower shutter would have."""
+
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Clip
+from deblur_avatar.config import BlurParams, load_params
+from deblur_avatar.pipeline.blur import blur
+
+
+def main(scene: str, clip: Path, out: Path, metrics: Path, params_file: Path) -> None:
+    """Blur a sharp clip as a slower shutter would have; `clip` holds `clip/` (and more)."""
+    params = load_params(params_file, f"scenes.{scene}.blur", BlurParams)
+    with run.stage("blur", scene, load_params(params_file, "seed", int)):
+        blurry, measured = blur(Clip.load(clip / "clip"), params)
+        blurry.save(out)
+        run.write_json(metrics, {"scene": scene, **measured})
+
+
+if __name__ == "__main__":
+    run.command(main)

@@ -1,0 +1,106 @@
+"""A person of capsules in front of one camera: the smallest thing that can be fitted."""
+
+import dataclasses
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from deblur_avatar.artifacts import Body, Cameras, Observations, Poses
+from deblur_avatar.avatar.capsule_body import capsule_body
+from deblur_avatar.avatar.model import AvatarModel, draw
+from deblur_avatar.config import ModelParams
+from deblur_avatar.geometry.cameras import look_at
+
+SIZE = 24  # pixels
+
+PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
+
+
+@pytest.fixture(scope="session")
+def body() -> Body:
+    return capsule_body()
+
+
+def swinging_poses(body: Body, frames: int, degrees: float) -> Poses:
+    """A person whose left arm swings at constant speed and who drifts sideways."""
+    joints = len(body.parents)
+    time = torch.linspace(-0.5, 0.5, frames)
+    body_pose = torch.zeros(frames, joints - 1, 3)
+    body_pose[:, 15, 2] = torch.deg2rad(torch.tensor(degrees)) * time * (frames - 1)
+    transl = torch.stack([0.02 * time, 0 * time, 0 * time], 1)
+    return Poses(
+        betas=torch.zeros(body.shape_dirs.shape[2]),
+        global_orient=torch.zeros(frames, 3),
+        body_pose=body_pose,
+        transl=transl,
+    )
+
+
+def camera(size: int = SIZE) -> Cameras:
+    viewmat = look_at(
+        torch.tensor([0.0, 0.0, 4.0]), torch.zeros(3), torch.tensor([0.0, 1.0, 0.0])
+    )
+    K = torch.tensor([[1.6 * size, 0, size / 2], [0, 1.6 * size, size / 2], [0, 0, 1]])
+    return Cameras(
+        Ks=K[None],
+        viewmats=viewmat[None],
+        distortion=torch.zeros(1, 5),
+        sizes=torch.tensor([[size, size]]),
+        names=("front",),
+    )
+
+
+def colourful(body: Body, frames: int, count: int = 150) -> AvatarModel:
+    """An avatar whose colours tell its parts apart."""
+    generator = torch.Generator().manual_seed(3)
+    model = AvatarModel.create(
+        PLAIN, body, torch.zeros(body.shape_dirs.shape[2]), frames, count, "srgb", generator
+    )
+    with torch.no_grad():
+        gaussians = model.gaussians
+        gaussians.features.copy_(4 * torch.sin(7 * gaussians.means))
+        gaussians.opacity_logits.fill_(3.0)
+        gaussians.log_scales.add_(0.3)
+    return model
+
+
+@pytest.fixture(scope="session")
+def make_observations(body: Body) -> Callable[..., Observations]:
+    def make(frames: int = 5, degrees: float = 8.0, size: int = SIZE) -> Observations:
+        poses, cameras = swinging_poses(body, frames, degrees), camera(size)
+        model = colourful(body, frames)
+        images, alphas = draw(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+        return Observations(
+            frames=(images * 255).round().to(torch.uint8),
+            mattes=(alphas * 255).round().to(torch.uint8),
+            cameras=cameras,
+            crops=torch.tensor([[0.0, 0, size, size]]),
+            train_camera=0,
+            body=body,
+            poses=poses,
+            weights=torch.ones(frames),
+            frame_indices=tuple(range(frames)),
+            timestamps=torch.arange(frames) / 60,
+            exposure=1 / 60,
+            light="srgb",
+            train=tuple(range(frames - 1)),
+            validation=(frames - 1,),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def observations(make_observations: Callable[..., Observations]) -> Observations:
+    return make_observations()
+
+
+@pytest.fixture
+def sharpened(observations: Observations) -> Callable[..., Observations]:
+    """The same observations with some fields replaced."""
+
+    def replace(**changes: object) -> Observations:
+        return dataclasses.replace(observations, **changes)
+
+    return replace
