@@ -264,6 +264,30 @@ class FusionParams(Params):
     network: FusionNetworkParams | None
 
 
+class MethodParams(Params):
+    """A row of every table."""
+
+    trajectory: TrajectoryParams
+    fusion: FusionParams
+
+
+class SceneParams(Params):
+    """Footage, from its files to what fitting sees."""
+
+    body: str
+    clip: ClipParams
+    blur: BlurParams
+    preprocess: PreprocessParams
+
+
+class WarmupParams(Params):
+    """A start on one scene's frames."""
+
+    scene: str
+    observations: Literal["exact", "sharp", "blurred"]
+    start: str
+
+
 class RunParams(Params):
     """One method on one scene: which frames it sees and which warm-up it goes on from."""
 
@@ -290,6 +314,41 @@ def load_params(path: Path, key: str, kind: Any) -> Any:
             raise ConfigError(f"{path}: {key}: {above} has no key {name!r}, it has {known}")
         value = value[name]
     return parse(kind, value, f"{path}: {key}")
+
+
+def check_parameters(path: Path) -> None:
+    """Check a whole parameter file before any work: every section, and every name in it.
+
+    Raises:
+        ConfigError: for the first section that cannot be run.
+    """
+    content = read_yaml(path)
+    sections: dict[str, Any] = {
+        "schedules": ScheduleParams,
+        "bodies": BodyParams,
+        "starts": StartParams,
+        "methods": MethodParams,
+        "scenes": SceneParams,
+        "warmups": WarmupParams,
+        "runs": RunParams,
+    }
+    load_params(path, "seed", int)
+    for section, kind in sections.items():
+        for name in load_params(path, section, dict):
+            load_params(path, f"{section}.{name}", kind)
+    named = {"scene": "scenes", "start": "starts", "method": "methods"}
+    for section in ("warmups", "runs"):
+        for name, entry in content[section].items():
+            for key in named.keys() & entry.keys():
+                if entry[key] not in content[named[key]]:
+                    known = ", ".join(content[named[key]])
+                    raise ConfigError(
+                        f"{path}: {section}.{name}: no {key} {entry[key]!r}, there is {known}"
+                    )
+    for name, entry in content["runs"].items():
+        warmup = f"{entry['scene']}-{entry['observations']}-{entry['start']}"
+        if warmup not in content["warmups"]:
+            raise ConfigError(f"{path}: runs.{name} goes on from {warmup}, add it to warmups")
 
 
 def parse(kind: Any, value: Any, where: str) -> Any:

@@ -53,8 +53,8 @@ class SkeletonMotion:
 def resample(motion: BodyMotion, fps: float, start: float, seconds: float) -> BodyMotion:
     """Cut out `seconds` from `start` on and show them at another frame rate.
 
-    Rotations turn along the shorter arc between frames, places move in straight lines. A motion that
-    ends earlier gives fewer frames, at least one.
+    Rotations turn along the shorter arc between frames, places move in straight lines. A motion
+    that ends earlier gives fewer frames, at least one.
 
     Raises:
         ValueError: if the motion ends before `start`.

@@ -1,9 +1,9 @@
 """A motion of any humanoid skeleton as poses of SMPL's 24 joints.
 
-Files differ in joint names, in axes, in what their zero pose is (the bones of some mixamo exports all
-point along x) and in the local frames of joints. So nothing is taken from the zero pose alone: for
-each joint a constant rotation `local_from_rest` is found that says how SMPL's T-pose would look in
-that joint's own frame, from the directions of the bones (and from how elbows and knees bend); then
+Files differ in joint names, in axes, in what their zero pose is (some mixamo exports have all bones
+along x) and in the local frames of joints. So nothing is taken from the zero pose alone: for each
+joint a constant rotation `local_from_rest` is found that says how SMPL's T-pose would look in that
+joint's own frame, from the directions of the bones and from how elbows and knees bend; then
 `world_from_local @ local_from_rest` is the world rotation of SMPL's joint. Bones of arms and legs
 point exactly as in the file, whatever the proportions.
 
@@ -31,7 +31,8 @@ def retarget(motion: SkeletonMotion, body: Body, betas: Float[Tensor, " B"]) -> 
     """Turn a skeleton's motion into SMPL poses of one person.
 
     The person keeps its proportions; steps and jumps scale with the length of its legs. Toes and
-    fingers stay straight. Collar bones and head move about their mean place, which is rest. Feet are taken to stand level on average.
+    fingers stay straight. Collar bones and head move about their mean place, which is rest. Feet
+    are level when they are low.
 
     Raises:
         ArtifactError: if a joint that is needed cannot be recognised by its name; lists both sides.
@@ -242,7 +243,7 @@ def _twist(frame: Tensor, bone: Tensor, below: Tensor, pole: Tensor) -> Tensor:
 def _level(turned: Tensor, toes: Tensor | None, shin: Tensor) -> Tensor:
     """Frame of a foot whose sole is level on average and whose toes are in front.
 
-    `turned` holds the foot's rotations while it stands; `shin` is the answer where they tell nothing.
+    `turned` holds its rotations while it stands; `shin` is the answer where they tell nothing.
     """
     up = turned.transpose(1, 2).mean(0) @ UP
     if toes is None or up.norm() < LEAST_BEND:

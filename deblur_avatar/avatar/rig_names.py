@@ -35,8 +35,9 @@ def recognise(names: Sequence[str], parents: Sequence[int]) -> dict[str, int]:
     """Find SMPL's joints by name and by place in the tree.
 
     Returns:
-        Index of each joint found, by SMPL's name. Always there: pelvis, hips, knees, ankles, spine3,
-        head, shoulders, elbows, wrists. Where the tree has them: spine1, spine2, neck, collars.
+        Index of each joint found, by SMPL's name. Always there: pelvis, hips, knees, ankles,
+        spine3, head, shoulders, elbows, wrists. Where the tree has them: spine1, spine2, neck,
+        collars.
 
     Raises:
         ArtifactError: if a joint of the first kind is missing, or arms and head do not hang on one

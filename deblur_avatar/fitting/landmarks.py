@@ -5,11 +5,24 @@ and masks of the user's own elsewhere. Landmarks are MediaPipe's 33 (BlazePose's
 with the centre of the top left pixel at (0.5, 0.5).
 """
 
-from collections.abc import Callable
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
+import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
+
+from deblur_avatar import run
+
+logger = logging.getLogger(__name__)
+
+COUNT = 33  # landmarks of MediaPipe's pose model
+FULL_MODEL = 1  # of MediaPipe's three, the one whose weights come with the package
 
 
 @dataclass(frozen=True)
@@ -27,4 +40,49 @@ PersonDetector = Callable[[UInt8[Tensor, "F H W 3"]], Landmarks]
 
 
 def detect_with_mediapipe(frames: UInt8[Tensor, "F H W 3"]) -> Landmarks:
-    raise NotImplementedError
+    """Find the most conspicuous person with MediaPipe's pose model and follow them.
+
+    The mattes are the pose model's own segmentation: unlike the selfie model's they keep to the
+    person followed. Neither landmarks nor mattes are smoothed over time.
+    """
+    count, height, width = frames.shape[:3]
+    found = torch.zeros(count, dtype=torch.bool)
+    points, visibility = torch.zeros(count, COUNT, 2), torch.zeros(count, COUNT)
+    mattes = torch.zeros(count, height, width, dtype=torch.uint8)
+    with _quiet_stderr():
+        from mediapipe.python.solutions.pose import Pose  # takes a second, so only when asked
+
+        model = Pose(
+            model_complexity=FULL_MODEL,
+            smooth_landmarks=False,
+            enable_segmentation=True,
+            smooth_segmentation=False,
+        )
+    with model:
+        for index in run.progress(range(count), "landmarks and mattes"):
+            with _quiet_stderr():
+                result = model.process(np.ascontiguousarray(frames[index].numpy()))
+            if result.pose_landmarks is None or result.segmentation_mask is None:
+                continue
+            marks = [(m.x * width, m.y * height, m.visibility) for m in result.pose_landmarks.landmark]
+            values = torch.tensor(marks)
+            found[index] = True
+            points[index], visibility[index] = values[:, :2], values[:, 2]
+            mask = torch.from_numpy(result.segmentation_mask.copy())
+            mattes[index] = (mask * 255).round().clamp(0, 255).to(torch.uint8)
+    return Landmarks(found, points, visibility, mattes)
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Silence MediaPipe's C++ code, which logs past every switch of its own."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with open(os.devnull, "w") as nowhere:  # noqa: PTH123
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            sys.stderr.flush()
+            os.dup2(kept, 2)
+            os.close(kept)

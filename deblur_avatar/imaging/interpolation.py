@@ -17,11 +17,11 @@ from fractions import Fraction
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 STILL = 1.0  # pixels a frame; less is not worth warping
 AGREEMENT = 1.0  # pixels by which two motions differ when one of them is believed 1/e as much
-DOUBT = 0.3  # belief that is left to a frame whose flow says otherwise
+DOUBT = 0.1  # belief that is left to a frame whose flow says otherwise
 MINIMUM_COVER = 0.1  # pixels' worth of cast motion below which a pixel counts as still
 SMALLEST_SIDE = 64  # pixels; less has no room for the flow's pyramid and is padded
 MARGIN = 4  # pixels around what moves
@@ -39,9 +39,15 @@ class Flow:
 
 
 def estimate_flow(a: UInt8[np.ndarray, "H W D"], b: UInt8[np.ndarray, "H W D"]) -> Flow:
-    """Match two frames by their colours, in both directions."""
+    """Match two frames by their brightness, in both directions."""
     grey_a, grey_b = _grey(a), _grey(b)
-    a_to_b, b_to_a = _search(grey_a, grey_b), _search(grey_b, grey_a)
+    return compare_flows(_search(grey_a, grey_b), _search(grey_b, grey_a))
+
+
+def compare_flows(
+    a_to_b: Float32[np.ndarray, "H W 2"], b_to_a: Float32[np.ndarray, "H W 2"]
+) -> Flow:
+    """Trust each way as far as going there and back leads home."""
     trust_a = _belief(_look_up(b_to_a, a_to_b) + a_to_b)
     trust_b = _belief(_look_up(a_to_b, b_to_a) + b_to_a)
     reach = np.sqrt(np.maximum(_squared(a_to_b), _squared(b_to_a)))
@@ -117,14 +123,16 @@ def _look_up(
 
 
 def _box(reach: Float32[np.ndarray, "H W"]) -> tuple[slice, slice]:
-    rows, columns = (reach > STILL).any(1).nonzero()[0], (reach > STILL).any(0).nonzero()[0]
-    if not len(rows):
+    moves = reach > STILL
+    if not moves.any():
         return slice(0, 0), slice(0, 0)
     margin = MARGIN + int(reach.max())
-    return (
-        slice(max(0, rows[0] - margin), min(reach.shape[0], rows[-1] + margin + 1)),
-        slice(max(0, columns[0] - margin), min(reach.shape[1], columns[-1] + margin + 1)),
-    )
+    return _span(moves.any(1), margin), _span(moves.any(0), margin)
+
+
+def _span(moves: Bool[np.ndarray, " L"], margin: int) -> slice:
+    where = np.flatnonzero(moves)
+    return slice(max(0, int(where[0]) - margin), min(len(moves), int(where[-1]) + margin + 1))
 
 
 def _crop(flow: Flow) -> Flow:
@@ -147,32 +155,34 @@ def _draw(
 def _motion_at(flow: Flow, u: float) -> Float32[np.ndarray, "H W 2"]:
     """Motion from a to b of the surface at each pixel of time u; 0 where nothing moves to."""
     height, width = flow.trust_a.shape
-    sums = np.zeros((3, height * width))
-    _cast(sums, flow.a_to_b, flow.a_to_b, flow.trust_a * np.float32(1 - u), u)
-    _cast(sums, flow.b_to_a, -flow.b_to_a, flow.trust_b * np.float32(u), 1 - u)
-    cover = np.maximum(sums[2], MINIMUM_COVER)
-    return (sums[:2] / cover).T.reshape(height, width, 2).astype(np.float32)
+    arrived = _cast(flow.a_to_b, flow.trust_a * np.float32(1 - u), u)
+    came_back = _cast(flow.b_to_a, flow.trust_b * np.float32(u), 1 - u)
+    cover = np.maximum(arrived[2] + came_back[2], MINIMUM_COVER)
+    motion = (arrived[:2] - came_back[:2]) / cover
+    return np.ascontiguousarray(motion.T.reshape(height, width, 2), np.float32)
 
 
 def _cast(
-    sums: Float32[np.ndarray, "3 P"],
-    flow: Float32[np.ndarray, "H W 2"],
-    motion: Float32[np.ndarray, "H W 2"],
-    weight: Float32[np.ndarray, "H W"],
-    duration: float,
-) -> None:
-    """Carry each moving pixel along its flow and add its motion, weighted, where it arrives."""
+    flow: Float32[np.ndarray, "H W 2"], weight: Float32[np.ndarray, "H W"], duration: float
+) -> Float64[np.ndarray, "3 P"]:
+    """Carry each moving pixel along its flow for a share of it, to P = H W pixels.
+
+    Returns:
+        Where it arrives: the sums of weighted flow (x, y), and of weights, split over the four
+        pixels around.
+    """
     height, width = weight.shape
+    sums = np.zeros((3, height * width))
     rows, columns = (_squared(flow) > STILL**2).nonzero()
-    step, weight, motion = flow[rows, columns], weight[rows, columns], motion[rows, columns]
+    step, weight = flow[rows, columns], weight[rows, columns]
     x, y = columns + duration * step[:, 0], rows + duration * step[:, 1]
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     for down in (0, 1):
         for right in (0, 1):
-            share = (1 - np.abs(x - left - right)) * (1 - np.abs(y - top - down)) * weight
-            inside = (left + right >= 0) & (left + right < width)
-            inside &= (top + down >= 0) & (top + down < height)
-            index = ((top + down) * width + left + right)[inside]
-            for channel, value in enumerate((motion[:, 0], motion[:, 1], None)):
-                amount = share if value is None else share * value
-                sums[channel] += np.bincount(index, amount[inside], sums.shape[1])
+            column, row = left + right, top + down
+            share = (1 - np.abs(x - column)) * (1 - np.abs(y - row)) * weight
+            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            index, share, part = (row * width + column)[inside], share[inside], step[inside]
+            for total, value in zip(sums, (part[:, 0], part[:, 1], 1), strict=True):
+                total += np.bincount(index, share * value, len(total))
+    return sums

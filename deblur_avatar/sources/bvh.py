@@ -1,8 +1,9 @@
 """Biovision hierarchy files (`.bvh`): a skeleton, and its joint angles over time.
 
 Conventions. Angles are in degrees and multiply in the order in which a joint's channels are listed,
-the first outermost; a position channel replaces that component of the root's offset. Axes and unit of
-length are the file's own: `retargeting` finds the former and is indifferent to the latter.
+the first outermost; a position channel replaces that component of the root's offset, those of other
+joints are ignored. Axes and unit of length are the file's own: `avatar/retargeting.py` finds the
+former and is indifferent to the latter.
 """
 
 import math

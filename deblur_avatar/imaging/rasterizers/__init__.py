@@ -9,7 +9,9 @@ near plane, opacity limits) are in `conventions.py`, shared by all three.
 """
 
 import os
+import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Final
 
 import torch
@@ -19,6 +21,7 @@ from torch import Tensor
 from deblur_avatar.imaging.rasterizers import cpu, reference
 from deblur_avatar.imaging.rasterizers.covariances import covariances
 from deblur_avatar.imaging.rasterizers.inputs import check_camera, check_inputs
+from deblur_avatar.imaging.rasterizers.native_build import BuildError
 from deblur_avatar.imaging.rasterizers.result import Rasterization, ScreenStatistics
 
 __all__ = ["BACKENDS", "Rasterization", "ScreenStatistics", "covariances", "rasterize"]
@@ -90,16 +93,33 @@ def rasterize(
 
 def _backend(name: str | None, means: Tensor) -> Callable[..., Rasterization]:
     """Find the backend: argument, then environment, then where and what the tensors are."""
-    source = "backend"
-    if name is None:
-        name, source = os.environ.get(BACKEND_VARIABLE) or None, BACKEND_VARIABLE
-    if name is None:
-        if means.dtype != torch.float32:
-            name = "reference"
-        else:
-            name = {"cpu": "cpu", "cuda": "cuda"}.get(means.device.type, "reference")
-    if name == "reference":
-        return reference.rasterize
-    if name == "cpu":
-        return cpu.rasterize
-    raise ValueError(f"{source} must be one of {', '.join(BACKENDS)}, got {name!r}")
+    source, chosen = "backend", name
+    if chosen is None:
+        source, chosen = BACKEND_VARIABLE, os.environ.get(BACKEND_VARIABLE) or None
+    if chosen is not None:
+        if chosen not in BACKENDS:
+            raise ValueError(f"{source} must be one of {', '.join(BACKENDS)}, got {chosen!r}")
+    elif means.dtype == torch.float32 and means.device.type in ("cpu", "cuda"):
+        chosen = means.device.type
+    else:
+        chosen = "reference"
+    if chosen == "cuda":
+        from deblur_avatar.imaging.rasterizers import cuda
+
+        return cuda.rasterize
+    return cpu.rasterize if chosen == "cpu" and _compiles() else reference.rasterize
+
+
+@cache
+def _compiles() -> bool:
+    """Try to build the native kernel; where that fails say so, once."""
+    try:
+        cpu.kernel()
+    except BuildError as error:
+        warnings.warn(
+            "the cpu rasterizer cannot be compiled, so the reference takes over, some fifty times"
+            f" slower: {error}",
+            stacklevel=4,
+        )
+        return False
+    return True

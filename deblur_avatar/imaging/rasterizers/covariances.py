@@ -11,7 +11,9 @@ from torch import Tensor
 _ENTRIES = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 
 
-def covariances(quats: Float[Tensor, "N 4"], scales: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3 3"]:
+def covariances(
+    quats: Float[Tensor, "N 4"], scales: Float[Tensor, "N 3"]
+) -> Float[Tensor, "N 3 3"]:
     """Build covariance matrices from rotations and standard deviations.
 
     Args:

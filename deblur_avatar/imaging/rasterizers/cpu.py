@@ -272,7 +272,6 @@ class _Rasterize(torch.autograd.Function):
         return (*made.values(), background_grad, *(None,) * 7)
 
 
-
 def _bytes(count: int) -> Tensor:
     return torch.empty(count, dtype=torch.uint8)
 

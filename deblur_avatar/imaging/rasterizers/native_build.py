@@ -26,7 +26,7 @@ FLAGS_VARIABLE: Final = "DEBLUR_AVATAR_KERNEL_FLAGS"
 # What `-ffast-math` would turn on, except flushing denormal numbers to zero: gcc before 13 links
 # that in as start-up code, and it then holds for the whole process.
 FLAGS: Final = (
-    *("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-fvisibility=hidden"),
+    *("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC"),
     *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"),
     *("-fassociative-math", "-freciprocal-math", "-ffinite-math-only"),
 )

@@ -73,6 +73,7 @@ def rasterize(
         means=means, covars=covars, opacities=opacities, colors=colors, background=background
     )
     covars = whole_matrices(covars)
+    covars = 0.5 * (covars + covars.mT)  # so that the gradient is symmetric too
     projection = project(means, covars, opacities, viewmat, K, width, height)
     screen = ScreenStatistics()
     pictures = torch.stack(

@@ -1,0 +1,69 @@
+"""AMASS sequences (`.npz`): SMPL poses from optical motion capture.
+
+Conventions. `poses` holds axis-angles, 3 for each joint: the root, 21 joints of the body, then what
+the model has besides (SMPL-H's hands, SMPL-X's face and hands), which is left out. The world has +Z
+up, metres.
+
+Source: Mahmood et al., "AMASS", ICCV 2019, and its files' documented keys.
+"""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deblur_avatar.avatar.driving_motion import BodyMotion
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+
+BODY = 66  # numbers of the root and the 21 joints that all models of the family share
+RATES = ("mocap_framerate", "mocap_frame_rate")  # SMPL-H files and SMPL-X files
+WIDTHS = (66, 72, 156, 165)  # the body alone, SMPL, SMPL-H, SMPL-X
+
+
+def read_amass(path: Path) -> BodyMotion:
+    """Read one sequence; hands stay straight, the file's own shape is left out.
+
+    Raises:
+        ArtifactError: if it is missing, damaged or lacks a key; says which.
+    """
+    content = _read(Path(path))
+    poses, trans = content.get("poses"), content.get("trans")
+    rate = next((content[key] for key in RATES if key in content), None)
+    if poses is None or trans is None or rate is None:
+        raise ArtifactError(
+            f"{path} is not an AMASS sequence: wanted poses, trans, mocap_framerate, "
+            f"got {', '.join(content) or 'nothing'}"
+        )
+    if poses.ndim != 2 or poses.shape[1] not in WIDTHS or trans.shape != (len(poses), 3):
+        raise ArtifactError(
+            f"{path}: poses must be [F, {' | '.join(map(str, WIDTHS))}] and trans [F, 3], "
+            f"got {poses.shape} and {trans.shape}"
+        )
+    numbers = [array for array in (poses, trans, rate) if array.dtype.kind in "fiu"]
+    if len(numbers) < 3 or not all(np.isfinite(array).all() for array in numbers):
+        raise ArtifactError(f"{path}: poses, trans and mocap_framerate must be finite numbers")
+    if rate.size != 1 or float(rate) <= 0 or len(poses) < 1:
+        raise ArtifactError(f"{path}: wanted frames and a positive mocap_framerate, got {rate}")
+    axis_angle = torch.from_numpy(poses[:, :BODY].astype(np.float32)).reshape(-1, BODY // 3, 3)
+    upright = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # +Z to +Y
+    hands = axis_angle.new_zeros(len(axis_angle), 2, 3)
+    return BodyMotion(
+        fps=float(rate),
+        global_orient=matrix_to_axis_angle(upright @ axis_angle_to_matrix(axis_angle[:, 0])),
+        body_pose=torch.cat([axis_angle[:, 1:], hands], dim=1),
+        transl=torch.from_numpy(trans.astype(np.float32)) @ upright.T,
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            wanted = {"poses", "trans", *RATES}
+            return {key: archive[key] for key in archive.files if key in wanted}
+    except OSError as error:
+        raise ArtifactError(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise ArtifactError(f"{path} is not a readable .npz file: {error}") from None

@@ -1,0 +1,75 @@
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar import config
+from deblur_avatar.config import BlurParams, ClipParams, load_params
+from deblur_avatar.errors import ConfigError
+
+ROOT = Path(__file__).parents[1]
+GOOD = "blur: {frames: interpolated, factor: 8, window: 33, light: srgb}\n"
+
+
+def written(tmp_path, text):
+    path = tmp_path / "params.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_section_becomes_a_typed_object(tmp_path):
+    params = load_params(written(tmp_path, GOOD), "blur", BlurParams)
+    assert (params.window, params.light) == (33, "srgb")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOOD.replace("window", "windw"), "blur: missing key 'window'; unknown key 'windw'"),
+        (GOOD.replace("33", "33.5"), "window: input should be a valid integer, got 33.5"),
+        (GOOD.replace("33", "'33'"), "window: input should be a valid integer, got '33'"),
+        (GOOD.replace("33", "0"), "window: input should be greater than or equal to 1, got 0"),
+        (GOOD.replace("srgb", "gamma"), "light: input should be 'srgb' or 'linear'"),
+        ("blur: [", "is not YAML"),
+        ("blurr: {}", "blur: the file has no key 'blur', it has blurr"),
+    ],
+)
+def test_a_mistake_is_named_with_its_key(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=message.replace("(", r"\(")):
+        load_params(written(tmp_path, text), "blur", BlurParams)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigError, match="cannot read .*nowhere.yaml: No such file"):
+        load_params(tmp_path / "nowhere.yaml", "blur", BlurParams)
+
+
+def test_numbers_are_read_as_dvc_reads_them(tmp_path):
+    path = written(tmp_path, "rate: 1e-3\nanswer: no\n")
+    assert load_params(path, "rate", float) == 1e-3
+    assert load_params(path, "answer", str) == "no"
+
+
+def test_a_source_decides_which_keys_a_clip_has(tmp_path):
+    with pytest.raises(ConfigError, match="input tag 'film' found using 'source'"):
+        load_params(written(tmp_path, "clip: {source: film}"), "clip", ClipParams)
+
+
+def test_the_committed_parameters_are_valid_in_every_section():
+    content = config.read_yaml(ROOT / "params.yaml")
+    config.check_parameters(ROOT / "params.yaml")
+    for run in content["runs"].values():
+        warmup = f"{run['scene']}-{run['observations']}-{run['start']}"
+        assert warmup in content["warmups"]
+
+
+def test_a_run_of_a_scene_that_does_not_exist_is_refused(tmp_path):
+    text = (ROOT / "params.yaml").read_text()
+    broken = text.replace("studio-paper: {scene: studio", "studio-paper: {scene: studoi")
+    with pytest.raises(ConfigError, match="runs.studio-paper: no scene 'studoi'"):
+        config.check_parameters(written(tmp_path, broken))
+
+
+def test_every_section_is_immutable(tmp_path):
+    params = load_params(written(tmp_path, GOOD), "blur", BlurParams)
+    with pytest.raises(ValueError, match="frozen"):
+        params.window = 3
