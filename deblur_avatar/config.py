@@ -184,7 +184,7 @@ class LossParams(Params):
     """Weights of the terms of the objective."""
 
     l1: NonNegative
-    structure: NonNegative  # 1 - SSIM inside the person's box
+    structure: NonNegative  # edges at three scales inside the person's box
     mask: NonNegative
     skinning_early: NonNegative  # until `skinning_switch`
     skinning_late: NonNegative

@@ -22,6 +22,7 @@ from deblur_avatar.avatar.body import (
 from deblur_avatar.avatar.gaussians import Gaussians, gaussians_on_surface
 from deblur_avatar.avatar.networks import ConditionedMLP, one_blob
 from deblur_avatar.avatar.pose_encoder import PoseEncoder
+from deblur_avatar.avatar.posing import covariances, pose_gaussians
 from deblur_avatar.avatar.skinning_field import SkinningField, surface_weights
 from deblur_avatar.config import ModelParams, parse
 from deblur_avatar.geometry.cameras import camera_centres
@@ -48,6 +49,12 @@ class Dressed:
     pose_code: Float[Tensor, " E"] | None
     frame: int
 
+    def posed(
+        self, transforms: Float[Tensor, "B J 4 4"]
+    ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 6"]]:
+        """Means and covariances (upper triangles) in B poses."""
+        return pose_gaussians(self.means, self.spreads, self.lbs_weights, transforms)
+
 
 class AvatarModel(nn.Module):
     """Gaussians and the networks that deform, skin and colour them."""
@@ -73,7 +80,7 @@ class AvatarModel(nn.Module):
             self.pose_encoder = PoseEncoder(body, betas)
             codes = params.nonrigid.codes
             encoded = 3 * params.nonrigid.bins
-            outputs = 3 + 3 + 4 + codes
+            outputs = 3 + 3 + 3 + codes
             self.nonrigid = ConditionedMLP(
                 encoded, self.pose_encoder.size, params.nonrigid.hidden, outputs
             )
@@ -166,11 +173,9 @@ class AvatarModel(nn.Module):
             if deform:
                 encoded = one_blob(self._boxed(means), self.params.nonrigid.bins)
                 change = self.nonrigid(encoded, code)
-                means = means + change[:, :3]
-                log_scales = log_scales + change[:, 3:6]
-                turn = torch.cat([torch.ones_like(change[:, :1]), change[:, 7:10]], dim=1)
-                quats = quat_multiply(turn, quats)
-                deformation = change[:, 10:]
+                shift, stretch, turn, deformation = change.split([3, 3, 3, codes], dim=1)
+                means, log_scales = means + shift, log_scales + stretch
+                quats = quat_multiply(nn.functional.pad(turn, (1, 0), value=1.0), quats)
         spreads = quat_to_matrix(quats) * log_scales.exp()[:, None, :]
         weights = self.weights_at(means)
         return Dressed(means, spreads, weights, deformation, code, frame)
@@ -229,29 +234,6 @@ class AvatarModel(nn.Module):
         return (points - self.box[0]) / (self.box[1] - self.box[0])
 
 
-def covariances(spreads: Float[Tensor, "*batch N 3 3"]) -> Float[Tensor, "*batch N 6"]:
-    """Upper triangles xx, xy, xz, yy, yz, zz of spreads spreads^T."""
-    a, b, c = spreads.unbind(-2)
-    products = [(a, a), (a, b), (a, c), (b, b), (b, c), (c, c)]
-    return torch.stack([(p * q).sum(-1) for p, q in products], dim=-1)
-
-
-def pose_gaussians(
-    dressed: Dressed, transforms: Float[Tensor, "B J 4 4"]
-) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 6"]]:
-    """Skin dressed Gaussians: posed means and the upper triangles of posed covariances.
-
-    The blended rotation is not made orthonormal again: covariances stretch as the skin does.
-
-    Source: 3DGS-Avatar eq. 6-7; order xx, xy, xz, yy, yz, zz.
-    """
-    blended = (dressed.lbs_weights @ transforms[:, :, :3].flatten(2)).unflatten(-1, (3, 4))
-    rotation, shift = blended[..., :3], blended[..., 3]
-    means = (rotation * dressed.means[:, None, :]).sum(-1) + shift
-    spreads = (rotation[..., :, :, None] * dressed.spreads[:, None, :, :]).sum(-2)
-    return means, covariances(spreads)
-
-
 def draw(
     model: AvatarModel,
     poses: Poses,
@@ -292,7 +274,7 @@ def draw(
             middle = len(group) // 2
             dressed = model.dress(rotations[middle], frame)
             colors = model.colors(dressed, transforms[middle], viewmat)
-            means, covars = pose_gaussians(dressed, transforms)
+            means, covars = dressed.posed(transforms)
             drawn = rasterize(
                 means, covars, model.gaussians.opacities, colors, viewmat, K, width, height,
                 background=background, average=average,

@@ -129,7 +129,7 @@ def _rest_frames(
         hip, knee, ankle = f"{side}_hip", f"{side}_knee", f"{side}_ankle"
         thigh = _swing(fitted["pelvis"], bone(hip, knee), aim(hip, knee))
         shin = _direction(turned, rig[hip], rig[knee], aim(knee, ankle))
-        fitted[hip] = _twist(thigh, bone(hip, knee), shin, -FORWARD)
+        fitted[hip] = _twist(thigh, bone(hip, knee), shin, bone(knee, ankle), -FORWARD)
         fitted[knee] = _swing(fitted[hip], bone(knee, ankle), aim(knee, ankle))
         low = heights[:, rig[ankle]]
         standing = turned[low <= low.quantile(STANDING), rig[ankle]]
@@ -137,7 +137,7 @@ def _rest_frames(
         shoulder, elbow, wrist = f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist"
         arm = _swing(fitted["spine3"], bone(shoulder, elbow), aim(shoulder, elbow))
         forearm = _direction(turned, rig[shoulder], rig[elbow], aim(elbow, wrist))
-        fitted[shoulder] = _twist(arm, bone(shoulder, elbow), forearm, FORWARD)
+        fitted[shoulder] = _twist(arm, bone(shoulder, elbow), forearm, bone(elbow, wrist), FORWARD)
         fitted[elbow] = _swing(fitted[shoulder], bone(elbow, wrist), aim(elbow, wrist))
         tip = _tip(motion, rig[wrist])
         hand = bone(wrist, f"{side}_hand")
@@ -229,14 +229,21 @@ def _swing(frame: Tensor, bone: Tensor, wanted: Tensor) -> Tensor:
     return axis_angle_to_matrix(torch.atan2(sine, cosine) * _unit(axis)) @ frame
 
 
-def _twist(frame: Tensor, bone: Tensor, below: Tensor, pole: Tensor) -> Tensor:
-    """Turn `frame` about `bone` so that the bone below bends towards `pole` on average."""
+def _twist(frame: Tensor, bone: Tensor, below: Tensor, straight: Tensor, pole: Tensor) -> Tensor:
+    """Turn `frame` about `bone` so that the joint below bends towards `pole` on average.
+
+    `below` [F,3] is the next bone as the joint's own frame sees it, `straight` the same bone in the
+    T-pose. A hinge leaves the part of that bone along its axis as it is.
+    """
     bend = (below @ frame).mean(0)
     bend = bend - (bend @ bone) * bone
-    if bend.norm() < LEAST_BEND:
-        return frame
     side = _unit(pole - (pole @ bone) * bone)
-    angle = torch.atan2(torch.linalg.cross(side, bend) @ bone, side @ bend)
+    hinge = torch.linalg.cross(bone, side)
+    along = straight @ hinge
+    if bend.norm() < max(LEAST_BEND, 1.01 * float(along.abs())):
+        return frame
+    wanted = (bend @ bend - along**2).sqrt() * side + along * hinge
+    angle = torch.atan2(torch.linalg.cross(wanted, bend) @ bone, wanted @ bend)
     return frame @ axis_angle_to_matrix(angle * bone)
 
 

@@ -19,7 +19,6 @@ from deblur_avatar.avatar.model import (
     AvatarModel,
     Dressed,
     encode,
-    pose_gaussians,
 )
 from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import ScheduleParams, StartParams
@@ -135,14 +134,14 @@ class AvatarFit:
         noise = self.model.view_noise(self._generator)
         colors = self.model.colors(dressed, centre, self._viewmat, noise)
         whole = mask == "mean" and supervision != "fused"
-        means, covars = pose_gaussians(dressed, transforms)
+        means, covars = dressed.posed(transforms)
         drawn = self._rasterize(means, covars, colors, target, average=whole)
         image = drawn.image.mean(0)
         alpha = drawn.alpha.mean(0)
         if mask == "union":
             alpha = 1 - (1 - drawn.alpha).prod(0)
         if supervision == "fused" or mask == "centre":
-            posed = pose_gaussians(dressed, centre[None])
+            posed = dressed.posed(centre[None])
             sharp = self._rasterize(*posed, colors, target, average=False)
             if mask == "centre":
                 alpha = sharp.alpha[0]

@@ -1,5 +1,352 @@
-"""placeholder while the studio path is tried"""
+"""One shape, and one pose a frame, from what several cameras see of a person.
+
+Triangulated landmarks bring the body near; their projections and the mattes' outlines then refine
+it. All frames are solved at once, so that neighbours hold each other. Terms are squared distances in
+standard deviations; those of measurements saturate, since detectors are not noisy but wrong.
+"""
+
+import logging
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body, Cameras, Poses
+from deblur_avatar.avatar.body import shaped_joints
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.fitting.body_landmarks import TORSO, LandmarkMap, landmark_map
+from deblur_avatar.fitting.landmarks import Landmarks
+from deblur_avatar.fitting.pose_limits import PoseLimits, pose_limits
+from deblur_avatar.fitting.silhouettes import (
+    Silhouettes,
+    distance_outside,
+    nearest_points,
+    silhouettes,
+)
+from deblur_avatar.fitting.triangulation import Triangulated, triangulate
+from deblur_avatar.geometry.cameras import project
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.geometry.skinning import forward_kinematics, skin_points
+
+logger = logging.getLogger(__name__)
+
+# Standard deviations. Those in shares are of the person's height in the picture.
+LANDMARK_M = 0.03
+LANDMARK_SHARE = 0.015
+OUTLINE_SHARE = 0.01
+ACCELERATION = 30.0  # of joints, m/s^2: a kick's
+ANGULAR_ACCELERATION = 150.0  # of joints' rotations, rad/s^2
+BEYOND_LIMIT = 0.1  # radians
+OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
+SATURATION = 3.0  # standard deviations at which a measurement has half its say
+OUTLINE_WEIGHT = 20.0  # landmarks that one matte counts as
+
+SURFACE_POINTS = 1200
+COARSE_STEPS = 250
+FINE_STEPS = 250
+MATCH_EVERY = 25  # steps between two searches for outline points' partners
+RATES = {"betas": 0.05, "turn": 0.02, "body_pose": 0.02, "transl": 0.01, "offsets": 0.002}
 
 
-def fit_body(*a):
-    raise NotImplementedError
+class BodyFit(NamedTuple):
+    """Poses, and how well they explain what was seen."""
+
+    poses: Poses
+    residuals: Float[Tensor, "V F L"]  # pixels, of used landmarks; 0 where not seen
+    extent: float  # the person's median height in the pictures, pixels
+
+
+class _Unknowns(NamedTuple):
+    """What is solved for."""
+
+    betas: Float[Tensor, " B"]
+    turn: Float[Tensor, "F 3"]  # of the whole body about its first guess, so that no angle wraps
+    body_pose: Float[Tensor, "F K 3"]
+    transl: Float[Tensor, "F 3"]
+    offsets: Float[Tensor, "M 3"]  # of landmarks
+
+
+class _Posed(NamedTuple):
+    """The body that a set of unknowns describes, metres."""
+
+    joints: Float[Tensor, "F J 3"]
+    landmarks: Float[Tensor, "F L 3"]
+    surface: Float[Tensor, "F P 3"]
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Points spread evenly over the body at rest."""
+
+    points: Float[Tensor, "P 3"]
+    shape_dirs: Float[Tensor, "P 3 B"]
+    lbs_weights: Float[Tensor, "P J"]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What does not change while the body is fitted."""
+
+    body: Body
+    surface: _Surface
+    marks: LandmarkMap
+    limits: PoseLimits
+    Ks: Float[Tensor, "V 3 3"]
+    viewmats: Float[Tensor, "V 4 4"]
+    pixels: Float[Tensor, "V F L 2"]
+    confidences: Float[Tensor, "V F L"]
+    found: Triangulated
+    outlines: Silhouettes
+    orient: Float[Tensor, "F 3 3"]  # first guess
+    interval: float  # seconds between frames
+    extent: float
+
+
+def fit_body(
+    body: Body,
+    cameras: Cameras,
+    recorded: tuple[int, ...],
+    people: list[Landmarks],
+    timestamps: Float[Tensor, " F"],
+) -> BodyFit:
+    """Fit a body to what detectors found in several cameras' frames.
+
+    Args:
+        body: with SMPL's 24 joints.
+        cameras: without distortion.
+        recorded: the camera of each entry of `people`.
+        people: landmarks and mattes in the pixels of those cameras.
+        timestamps: of the frames, seconds.
+
+    Raises:
+        ArtifactError: for fewer than two cameras, or if no frame shows a person in two of them.
+    """
+    if body.joint_names != SMPL_JOINT_NAMES:
+        raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
+    if len(recorded) < 2:
+        raise ArtifactError("poses are estimated from two or more cameras; give poses instead")
+    if not any(bool(person.found.any()) for person in people):
+        raise ArtifactError("no person found in any frame; check the videos")
+    marks = landmark_map()
+    rows, chosen = list(marks.rows), list(recorded)
+    pixels = torch.stack([person.points[:, rows] for person in people])
+    confidences = torch.stack(
+        [person.visibility[:, rows] * person.found[:, None] for person in people]
+    )
+    extent = _extent(people)
+    lenses = cameras.Ks[chosen], cameras.viewmats[chosen]
+    found = triangulate(pixels, confidences, *lenses, OUTLIER_SHARE * extent)
+    _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
+    orient, transl = _first_guess(body, marks, found)
+    problem = _Problem(
+        body=body,
+        surface=_spread_points(body),
+        marks=marks,
+        limits=pose_limits(),
+        Ks=lenses[0],
+        viewmats=lenses[1],
+        pixels=pixels,
+        confidences=confidences,
+        found=found,
+        outlines=silhouettes([person.mattes for person in people]),
+        orient=orient,
+        interval=float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0,
+        extent=extent,
+    )
+    unknowns = _solve(problem, transl)
+    residuals = torch.stack([_residuals(problem, unknowns, view) for view in range(len(pixels))])
+    poses = Poses(
+        betas=unknowns.betas,
+        global_orient=matrix_to_axis_angle(orient @ axis_angle_to_matrix(unknowns.turn)),
+        body_pose=unknowns.body_pose,
+        transl=unknowns.transl,
+    )
+    return BodyFit(poses, residuals * (confidences > 0), extent)
+
+
+def _extent(people: list[Landmarks]) -> float:
+    heights = [
+        person.points[person.found][..., 1].amax(1) - person.points[person.found][..., 1].amin(1)
+        for person in people
+    ]
+    return float(torch.cat(heights).median())
+
+
+def _check_agreement(
+    found: Triangulated, confidences: Float[Tensor, "V F L"], names: list[str]
+) -> None:
+    """Refuse views that never agree; warn of one that mostly saw something else."""
+    if not found.found.any():
+        raise ArtifactError("no two cameras agree on where the person is; check the calibration")
+    for name, agreed, seen in zip(names, found.inliers, confidences > 0, strict=True):
+        share = float(agreed.sum() / seen.sum().clamp(min=1))
+        if share < 0.5:
+            logger.warning(
+                "camera %s agrees with the others on %.0f %% of the landmarks; does it follow "
+                "another person, or is it out of time?",
+                name,
+                100 * share,
+            )
+
+
+def _first_guess(
+    body: Body, marks: LandmarkMap, found: Triangulated
+) -> tuple[Float[Tensor, "F 3 3"], Float[Tensor, "F 3"]]:
+    """Turn and place of the torso in each frame: the rigid motion that best fits four landmarks.
+
+    Source: Umeyama, "Least-squares estimation of transformation parameters", 1991, without scale.
+    """
+    rows = [marks.rows.index(landmark) for landmark, _ in TORSO]
+    rest = body.joints[[SMPL_JOINT_NAMES.index(name) for _, name in TORSO]]
+    whole = torch.nonzero(found.found[:, rows].all(1)).flatten()
+    if not len(whole):
+        raise ArtifactError("no frame shows shoulders and hips to two cameras; check the videos")
+    # A frame without a torso takes over its nearest neighbour's.
+    frames = torch.arange(len(found.points))
+    nearest = whole[(frames[:, None] - whole).abs().argmin(1)]
+    seen = found.points[nearest][:, rows]
+    middle, rest_middle = seen.mean(1, keepdim=True), rest.mean(0)
+    left, _, right = torch.linalg.svd((seen - middle).transpose(1, 2) @ (rest - rest_middle))
+    mirror = torch.linalg.det(left @ right)
+    left = torch.cat([left[..., :2], left[..., 2:] * mirror[:, None, None]], dim=-1)
+    orient = left @ right
+    # The pelvis stays at `joints[0]` when the body turns.
+    pivot = body.joints[0]
+    transl = middle[:, 0] - (orient @ (rest_middle - pivot)) - pivot
+    return orient, transl
+
+
+def _spread_points(body: Body) -> _Surface:
+    """Cut the surface into pieces of equal area; take the middle of the triangle each begins in."""
+    corners = body.vertices[body.faces]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    share = normals.double().norm(dim=-1).cumsum(0)
+    steps = (torch.arange(SURFACE_POINTS) + 0.5) / SURFACE_POINTS
+    faces = body.faces[torch.searchsorted(share / share[-1], steps.double())]
+    return _Surface(
+        points=body.vertices[faces].mean(1),
+        shape_dirs=body.shape_dirs[faces].mean(1),
+        lbs_weights=body.lbs_weights[faces].mean(1),
+    )
+
+
+def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
+    body, surface = problem.body, problem.surface
+    joints = shaped_joints(body, unknowns.betas)
+    orient = problem.orient @ axis_angle_to_matrix(unknowns.turn)
+    rotations = torch.cat([orient[:, None], axis_angle_to_matrix(unknowns.body_pose)], dim=1)
+    transforms = forward_kinematics(rotations, joints, unknowns.transl, body.parents)
+    points = surface.points + surface.shape_dirs @ unknowns.betas
+    return _Posed(
+        joints=(transforms[..., :3, :3] @ joints[..., None])[..., 0] + transforms[..., :3, 3],
+        landmarks=problem.marks.positions(transforms, joints, unknowns.offsets),
+        surface=skin_points(points, surface.lbs_weights, transforms),
+    )
+
+
+def _solve(problem: _Problem, transl: Float[Tensor, "F 3"]) -> _Unknowns:
+    """First by landmarks in space, then by what the pictures show."""
+    count, joints = len(transl), len(problem.body.parents)
+    unknowns = _Unknowns(
+        betas=torch.zeros(problem.body.shape_dirs.shape[2], requires_grad=True),
+        turn=torch.zeros(count, 3, requires_grad=True),
+        body_pose=torch.zeros(count, joints - 1, 3, requires_grad=True),
+        transl=transl.clone().requires_grad_(),
+        offsets=problem.marks.offsets.clone().requires_grad_(),
+    )
+    groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
+    optimiser = torch.optim.Adam(groups)
+    steps = COARSE_STEPS + FINE_STEPS
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    partners: list[Int64[Tensor, "F Q"]] = []
+    for step in run.progress(range(steps), "body fit"):
+        posed = _pose(problem, unknowns)
+        loss = _priors(problem, unknowns, posed)
+        if step < COARSE_STEPS:
+            loss = loss + _landmarks_in_space(problem, posed)
+        else:
+            if (step - COARSE_STEPS) % MATCH_EVERY == 0:
+                partners = _partners(problem, posed)
+            loss = loss + _pictures(problem, posed, partners)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    return _Unknowns(*[value.detach() for value in unknowns])
+
+
+def _saturating(squared: Tensor) -> Tensor:
+    """Geman and McClure's loss of a squared distance in standard deviations."""
+    return squared / (1 + squared / SATURATION**2)
+
+
+def _landmarks_in_space(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
+    found = problem.found
+    squared = (posed.landmarks - found.points).square().sum(-1) / LANDMARK_M**2
+    trust = (problem.confidences * found.inliers).sum(0)
+    # Grows for ever, unlike the pictures' terms: from the rest pose every hand is an outlier.
+    return (trust * 2 * ((1 + squared).sqrt() - 1)).sum()
+
+
+def _pictures(
+    problem: _Problem, posed: _Posed, partners: list[Int64[Tensor, "F Q"]]
+) -> Float[Tensor, ""]:
+    """Landmarks, and outlines both ways, in every view."""
+    total = posed.joints.new_zeros(())
+    outlines = problem.outlines
+    for view in range(len(problem.Ks)):
+        camera = problem.Ks[view], problem.viewmats[view]
+        marks, _ = project(posed.landmarks, *camera)
+        squared = (marks - problem.pixels[view]).square().sum(-1)
+        squared = squared / (LANDMARK_SHARE * problem.extent) ** 2
+        total = total + (problem.confidences[view] * _saturating(squared)).sum()
+
+        surface, _ = project(posed.surface, *camera)
+        spread = OUTLINE_SHARE * problem.extent
+        outside = distance_outside(outlines.outside[view], surface) / spread
+        partner = partners[view][..., None].expand(-1, -1, 2)
+        gap = outlines.outline[view] - surface.gather(1, partner)
+        along = (gap * outlines.normals[view]).sum(-1) / spread
+        both = _saturating(outside.square()).mean(1) + _saturating(along.square()).mean(1)
+        total = total + OUTLINE_WEIGHT * (both * outlines.shown[view]).sum()
+    return total
+
+
+@torch.no_grad()
+def _partners(problem: _Problem, posed: _Posed) -> list[Int64[Tensor, "F Q"]]:
+    return [
+        nearest_points(outline, project(posed.surface, K, viewmat)[0])
+        for outline, K, viewmat in zip(
+            problem.outlines.outline, problem.Ks, problem.viewmats, strict=True
+        )
+    ]
+
+
+def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tensor, ""]:
+    """What is known of bodies: shapes, smooth motion, limits of joints."""
+    limits, marks = problem.limits, problem.marks
+    pose = unknowns.body_pose
+    beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
+    relaxed = pose / limits.spread[:, None]
+    offsets = (unknowns.offsets - marks.offsets) / marks.spreads[:, None]
+    step = problem.interval**2
+    acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
+    rotations = torch.cat([unknowns.turn[:, None], pose], dim=1)
+    angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
+    squares = [unknowns.betas, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
+    return torch.stack([term.square().sum() for term in squares]).sum()
+
+
+def _second_difference(values: Float[Tensor, "F D 3"]) -> Float[Tensor, "G D 3"]:
+    return values[2:] - 2 * values[1:-1] + values[:-2]
+
+
+@torch.no_grad()
+def _residuals(problem: _Problem, unknowns: _Unknowns, view: int) -> Float[Tensor, "F L"]:
+    marks, _ = project(
+        _pose(problem, unknowns).landmarks, problem.Ks[view], problem.viewmats[view]
+    )
+    return (marks - problem.pixels[view]).norm(dim=-1)

@@ -116,9 +116,7 @@ def _codes_to_light(
     return np.concatenate([_LINEAR_OF_CODE[image[..., :3]], image[..., 3:]], axis=-1)
 
 
-def _light_to_codes(
-    mean: Float[np.ndarray, "H W D"], light: Light
-) -> UInt8[np.ndarray, "H W D"]:
+def _light_to_codes(mean: Float[np.ndarray, "H W D"], light: Light) -> UInt8[np.ndarray, "H W D"]:
     if light == "linear":
         mean[..., :3] = linear_to_srgb(torch.from_numpy(mean[..., :3])).numpy() * 255
     return np.rint(mean).clip(0, 255).astype(np.uint8)

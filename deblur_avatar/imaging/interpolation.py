@@ -101,8 +101,9 @@ def _search(
     below, right = max(0, SMALLEST_SIDE - height), max(0, SMALLEST_SIDE - width)
     if below or right:
         a, b = (cv2.copyMakeBorder(x, 0, below, 0, right, cv2.BORDER_REPLICATE) for x in (a, b))
-    search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    return search.calc(a, b, None)[:height, :width]
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    # OpenCV's stubs forget that there may be no first guess.
+    return search.calc(a, b, None)[:height, :width]  # type: ignore[call-overload]
 
 
 def _belief(difference: Float32[np.ndarray, "H W 2"]) -> Float32[np.ndarray, "H W"]:
@@ -127,7 +128,7 @@ def _box(reach: Float32[np.ndarray, "H W"]) -> tuple[slice, slice]:
     if not moves.any():
         return slice(0, 0), slice(0, 0)
     margin = MARGIN + int(reach.max())
-    return _span(moves.any(1), margin), _span(moves.any(0), margin)
+    return _span(moves.max(1), margin), _span(moves.max(0), margin)
 
 
 def _span(moves: Bool[np.ndarray, " L"], margin: int) -> slice:

@@ -62,9 +62,7 @@ def ssim_range2(render: Images, truth: Images) -> Scores:
         return _not_measured(render)
     count = UNIFORM_SIZE**2
     window = torch.full((UNIFORM_SIZE,), 1 / UNIFORM_SIZE, dtype=torch.float64)
-    similarity, _ = _similarity(
-        _planes(render), _planes(truth), window, 2.0, count / (count - 1)
-    )
+    similarity, _ = _similarity(_planes(render), _planes(truth), window, 2.0, count / (count - 1))
     return similarity.flatten(1).mean(1)
 
 

@@ -144,14 +144,12 @@ def _passed_through(clip: Clip) -> BlurryClip:
 def _true_blur(
     clip: Clip, params: BlurParams, exposure: float, kept: range
 ) -> tuple[UInt8[Tensor, "R F H W 3"], UInt8[Tensor, "R F H W"] | None]:
-    stacks = {"srgb": clip.true_blur_srgb, "linear": clip.true_blur_linear}
-    frames = stacks[params.light]
+    frames = _true_frames(clip, params)
     if frames is None or clip.true_blur_exposure is None:
         raise ConfigError(
-            f"blur.frames: the source knows no true blur in {params.light} light; use `interpolated`"
+            f"blur.frames: the source has no true blur in {params.light} light; use `interpolated`"
         )
-    matches = abs(clip.true_blur_exposure - exposure) <= SAME_EXPOSURE * exposure
-    if not matches or clip.frame_indices != tuple(kept):
+    if not _of_same_window(clip, exposure, kept):
         raise ConfigError(
             f"blur.frames: the source's true blur is of {clip.true_blur_exposure * 1e3:.2f} ms, "
             f"blur.window and blur.factor ask for {exposure * 1e3:.2f} ms; make clip.window and "
@@ -163,6 +161,15 @@ def _true_blur(
     return frames[None], None if mattes is None else mattes[None]
 
 
+def _true_frames(clip: Clip, params: BlurParams) -> UInt8[Tensor, "E H W 3"] | None:
+    return clip.true_blur_srgb if params.light == "srgb" else clip.true_blur_linear
+
+
+def _of_same_window(clip: Clip, exposure: float, kept: range) -> bool:
+    known = clip.true_blur_exposure or 0.0
+    return abs(known - exposure) <= SAME_EXPOSURE * exposure and clip.frame_indices == tuple(kept)
+
+
 def _interpolated_blur(
     clip: Clip, params: BlurParams, kept: range
 ) -> tuple[UInt8[Tensor, "R F H W 3"], UInt8[Tensor, "R F H W"] | None]:
@@ -171,12 +178,11 @@ def _interpolated_blur(
     mattes = None if clip.mattes is None else torch.empty_like(frames[..., 0])
 
     def blur_camera(row: int) -> None:
+        raised = subframes(_pictures(clip, row), params.factor)
         count = len(clip.timestamps)
-        total = params.factor * (count - 1) + 1
-        name = f"blur {clip.cameras.names[clip.recorded[row]]}"
-        raised = run.progress(subframes(_pictures(clip, row), params.factor), name, total)
         windows = blur_windows(raised, count, params.factor, params.window, params.light)
-        for position, picture in enumerate(windows):
+        name = f"blur {clip.cameras.names[clip.recorded[row]]}"
+        for position, picture in enumerate(run.progress(windows, name, len(kept))):
             frames[row, position] = torch.from_numpy(picture[..., :3])
             if mattes is not None:
                 mattes[row, position] = torch.from_numpy(picture[..., 3])
@@ -187,9 +193,7 @@ def _interpolated_blur(
     return frames, mattes
 
 
-def _pictures(
-    clip: Clip, row: int, stride: int = 1
-) -> Iterator[UInt8[np.ndarray, "H W D"]]:
+def _pictures(clip: Clip, row: int, stride: int = 1) -> Iterator[UInt8[np.ndarray, "H W D"]]:
     """One camera's frames, each with its matte as a fourth channel where there are mattes."""
     for index in range(0, len(clip.timestamps), stride):
         frame = clip.frames[row, index].numpy()
@@ -199,19 +203,19 @@ def _pictures(
             yield np.dstack([frame, clip.mattes[row, index].numpy()])
 
 
-def _measure(
-    clip: Clip, blurry: BlurryClip, params: BlurParams, kept: range
-) -> dict[str, Any]:
+def _measure(clip: Clip, blurry: BlurryClip, params: BlurParams, kept: range) -> dict[str, Any]:
     row = clip.recorded.index(clip.train_camera)
-    truth = {"srgb": clip.true_blur_srgb, "linear": clip.true_blur_linear}[params.light]
-    comparable = truth is not None and clip.frame_indices == tuple(kept)
+    exposure = blurry.exposure or 0.0
+    truth, against_truth = _true_frames(clip, params), None
+    if truth is not None and _of_same_window(clip, exposure, kept):
+        against_truth = _scores(blurry.frames[row], truth, clip.true_blur_mattes)
     return {
-        "blur": _scores(blurry.frames[row], truth, clip.true_blur_mattes) if comparable else None,
+        "blur": against_truth,
         "interpolation": _interpolation_scores(clip, row),
         "frames": _counts(clip, kept),
         "window": params.window,
         "factor": params.factor,
-        "exposure_ms": 1e3 * (blurry.exposure or 0.0),
+        "exposure_ms": 1e3 * exposure,
         "light": params.light,
         "source": params.frames,
     }
@@ -265,6 +269,5 @@ def _scores(
         if mattes is not None and mattes[index].any():
             scores["psnr_person"].append(metrics.psnr(frame, true, mattes[index : index + 1] > 0))
     return {
-        name: float(torch.cat(values).mean()) if values else None
-        for name, values in scores.items()
+        name: float(torch.cat(values).mean()) if values else None for name, values in scores.items()
     }

@@ -2,10 +2,10 @@
 
 They are gsplat 1.5.3's, because its CUDA kernels have most of them compiled in.
 
-A Gaussian with opacity `o`, projected to the pixel mean `m` and the pixel covariance `S`, has at the
-pixel centre `x` the opacity `alpha = min(MAX_ALPHA, o * exp(-0.5 * (x - m)^T S^-1 (x - m)))`. Pixel
+A Gaussian of opacity `o`, with the mean `m` and the covariance `S` in the image, has at the pixel
+centre `x` the opacity `alpha = min(MAX_ALPHA, o * exp(-0.5 * (x - m)^T S^-1 (x - m)))`. Pixel
 centres lie at half-integers. Gaussians are composited front to back by the depth of their centres,
-and in their own order where depths are equal; `T`, the transmittance, is the product of
+in the order of their numbers where depths are equal; `T`, the transmittance, is the product of
 `1 - alpha` over what has been composited.
 """
 
@@ -31,5 +31,5 @@ MIN_ALPHA: Final = 1.0 / 255.0
 # A pixel is finished when the next Gaussian would bring T to this or below; that one is left out.
 MIN_TRANSMITTANCE: Final = 1e-4
 
-# One more than the colours of a picture: what a Gaussian may carry beside its depth.
+# Red, green, blue and one more; depth comes on top.
 MAX_CHANNELS: Final = 4

@@ -250,11 +250,12 @@ class _Rasterize(torch.autograd.Function):
         frame: Frame = ctx.frame
         given = {"image_grad": image_grad, "alpha_grad": alpha_grad, "depths_grad": depths_grad}
         given = {name: g.contiguous() for name, g in given.items() if g is not None}
-        made = {"means_grad": means, "covars_grad": covars}
-        made |= {"opacities_grad": opacities, "colors_grad": colors}
+        names = ("means_grad", "covars_grad", "opacities_grad", "colors_grad")
         made = {
             name: torch.empty_like(tensor) if needed else None
-            for (name, tensor), needed in zip(made.items(), ctx.needs_input_grad, strict=False)
+            for name, tensor, needed in zip(
+                names, ctx.saved_tensors, ctx.needs_input_grad, strict=False
+            )
         }
         grad, absgrad = means.new_empty(2, *means.shape[:2], 2)
         values = colors.shape[1] + frame.depth

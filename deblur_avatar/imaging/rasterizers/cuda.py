@@ -109,7 +109,7 @@ def _gsplat_rasterization() -> "Callable[..., Any]":
         from gsplat import rasterization
     except ImportError as error:
         raise ImportError(
-            "tensors on a GPU are rasterized by gsplat: pip install 'deblur-avatar[cuda]', or choose"
-            " backend='reference'"
+            "tensors on a GPU are rasterized by gsplat: pip install 'deblur-avatar[cuda]',"
+            " or choose backend='reference'"
         ) from error
     return rasterization

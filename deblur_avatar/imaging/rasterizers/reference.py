@@ -152,7 +152,7 @@ def _composite(
     height: int,
     background: Tensor | None,
     screen: ScreenStatistics,
-) -> Float[Tensor, "H W C+2"]:
+) -> Float[Tensor, "H W channels"]:
     """Composite pose b: colour, alpha and depth in the last axis."""
     means2d, depths = projection.means2d[b], projection.depths[b]
     backdrop = colors.new_zeros(colors.shape[1]) if background is None else background

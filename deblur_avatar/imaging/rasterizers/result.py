@@ -45,7 +45,7 @@ class ScreenStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class Rasterization:
-    """B pictures of one set of Gaussians in B poses, or (B' = 1) their mean.
+    """B pictures of one set of Gaussians in B poses, or the one that is their mean.
 
     Attributes:
         image: channel values as they came in, composited over the background.
@@ -57,9 +57,9 @@ class Rasterization:
         screen: gradients of the projected centres, after a backward pass.
     """
 
-    image: Float[Tensor, "B' H W C"]
-    alpha: Float[Tensor, "B' H W"]
-    depth: Float[Tensor, "B' H W"] | None
+    image: Float[Tensor, "pictures H W C"]
+    alpha: Float[Tensor, "pictures H W"]
+    depth: Float[Tensor, "pictures H W"] | None
     radii: Int[Tensor, "B N"]
     screen: ScreenStatistics
 

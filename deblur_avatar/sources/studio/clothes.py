@@ -27,7 +27,6 @@ class Dressed:
     """A clothed person at rest."""
 
     vertices: Float[np.ndarray, "P 3"]
-    painted_at: Float[np.ndarray, "P 3"]  # the point of the body below, where patterns are looked up
     normals: Float[np.ndarray, "P 3"]
     lbs_weights: Float[np.ndarray, "P J"]
     looseness: Float[np.ndarray, " P"]  # 0 skin or tight, 1 the loosest hem
@@ -65,7 +64,6 @@ def dress(
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts])
     return Dressed(
         vertices=np.concatenate([part.vertices for part in parts]),
-        painted_at=np.concatenate([part.painted_at for part in parts]),
         normals=np.concatenate([part.normals for part in parts]),
         lbs_weights=np.concatenate([part.lbs_weights for part in parts]),
         looseness=np.concatenate([part.looseness for part in parts]),
@@ -85,9 +83,7 @@ def _shirt(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarr
     return np.minimum(np.minimum(collar, hem), ends)
 
 
-def _shirt_looseness(
-    points: Float[np.ndarray, "N 3"], marks: Landmarks
-) -> Float[np.ndarray, " N"]:
+def _shirt_looseness(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
     hem = rise(points[:, 1], marks.of("spine2")[1], marks.of("pelvis")[1] - 0.05)
     sleeve = rise(
         np.abs(points[:, 0]), marks.of("left_shoulder")[0], marks.of("left_elbow")[0] - 0.06
@@ -117,9 +113,7 @@ def _hair(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarra
     return np.minimum(y - line - 0.02 * np.cos(9 * x), 0.485 - np.abs(x)) * marks.head_size
 
 
-def _hair_looseness(
-    points: Float[np.ndarray, "N 3"], marks: Landmarks
-) -> Float[np.ndarray, " N"]:
+def _hair_looseness(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
     return rise(_hair(points, marks), 0.0, 0.05)
 
 
@@ -143,12 +137,14 @@ def _skin(
     marks: Landmarks,
 ) -> Dressed:
     """What can be seen of the body: all but what lies deep under a garment."""
-    covers = [g.field(vertices, marks) for g in GARMENTS if g.piece != "hair"]
+    covers = [_cover(g, vertices, lbs_weights, marks) for g in GARMENTS if g.piece != "hair"]
     covers.append(marks.of("left_ankle")[1] - 0.02 - vertices[:, 1])  # in the shoes
     bare = cut(faces, HIDDEN_DEPTH - np.max(covers, axis=0))
     at = bare.mix(vertices)
     none = np.zeros(len(at))
-    return _part("skin", at, at, bare.mix(normals), bare.mix(lbs_weights), none, none, bare.faces, marks)
+    return _part(
+        "skin", at, bare.mix(normals), bare.mix(lbs_weights), none, none, bare.faces, marks
+    )
 
 
 def _shell(
@@ -176,7 +172,7 @@ def _shell(
     weights = smooth(carry(lbs_weights), fine.faces, garment.smoothing // 4)
     slack = distance - garment.least
     return _part(
-        garment.piece, shell, at, normals_of(shell, fine.faces), weights, looseness, slack,
+        garment.piece, shell, normals_of(shell, fine.faces), weights, looseness, slack,
         fine.faces, marks,
     )  # fmt: skip
 
@@ -187,10 +183,9 @@ def _cover(
     lbs_weights: Float[np.ndarray, "V J"],
     marks: Landmarks,
 ) -> Float[np.ndarray, " V"]:
-    field = garment.field(vertices, marks)
-    if garment.piece == "hair":  # hands held high must not grow any
-        field = np.where(lbs_weights[:, HEAD] > 0.5, field, -1.0)
-    return field
+    on_head = lbs_weights[:, HEAD] > 0.5  # else chins wear shirts, and hands held high grow hair
+    allowed = on_head if garment.piece == "hair" else ~on_head
+    return np.where(allowed, garment.field(vertices, marks), -1.0)
 
 
 def _shoe(
@@ -215,17 +210,19 @@ def _shoe(
         corners, faces = finer.mix(corners), finer.faces
     shell = smooth(corners, faces, 4)
     normals = normals_of(shell, faces)
-    shell = shell + normals * (SHOE_THICKNESS + np.maximum(0, ((corners - shell) * normals).sum(1)))[:, None]
+    shell = (
+        shell
+        + normals * (SHOE_THICKNESS + np.maximum(0, ((corners - shell) * normals).sum(1)))[:, None]
+    )
     _, nearest = cKDTree(points).query(shell, k=min(8, len(points)))
     weights = lbs_weights[foot][nearest].mean(1)
     none = np.zeros(len(shell))
-    return _part("shoes", shell, shell, normals, weights, none, none, faces, marks)
+    return _part("shoes", shell, normals, weights, none, none, faces, marks)
 
 
 def _part(
     piece: str,
     vertices: Float[np.ndarray, "P 3"],
-    painted_at: Float[np.ndarray, "P 3"],
     normals: Float[np.ndarray, "P 3"],
     lbs_weights: Float[np.ndarray, "P J"],
     looseness: Float[np.ndarray, " P"],
@@ -235,7 +232,6 @@ def _part(
 ) -> Dressed:
     return Dressed(
         vertices=vertices,
-        painted_at=painted_at,
         normals=normals,
         lbs_weights=lbs_weights / lbs_weights.sum(1, keepdims=True),
         looseness=looseness,

@@ -39,9 +39,7 @@ def find_landmarks(
     return Landmarks(joints, float(head[:, 1].max() - joints[HEAD, 1]))
 
 
-def rise(
-    values: Float[np.ndarray, " N"], low: float, high: float
-) -> Float[np.ndarray, " N"]:
+def rise(values: Float[np.ndarray, " N"], low: float, high: float) -> Float[np.ndarray, " N"]:
     """From 0 at `low` to 1 at `high` without a corner; `low` may be above `high`."""
     share = np.clip((values - low) / (high - low), 0, 1)
     return share * share * (3 - 2 * share)

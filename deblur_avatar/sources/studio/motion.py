@@ -60,7 +60,9 @@ def still(times: Float[Tensor, " M"], training_seconds: float) -> Moves:
     }  # fmt: skip
     zero = torch.zeros_like(times)
     place = torch.stack([zero, zero + STANDING, zero], -1)
-    return _moves({name: [(a, zero + v) for a, v in t] for name, t in turns.items()}, [(Y, zero + 0.4)], place)
+    return _moves(
+        {name: [(a, zero + v) for a, v in t] for name, t in turns.items()}, [(Y, zero + 0.4)], place
+    )
 
 
 def turn(times: Float[Tensor, " M"], training_seconds: float) -> Moves:
@@ -101,7 +103,12 @@ def turn(times: Float[Tensor, " M"], training_seconds: float) -> Moves:
     around = 2 * torch.pi * times / training_seconds
     bob = STANDING - 0.02 + 0.02 * torch.cos(2 * torch.pi * times / 0.6 + 0.5)
     place = torch.stack(
-        [0.05 * torch.sin(2 * torch.pi * times / 1.2), bob, 0.04 * torch.cos(2 * torch.pi * times / 1.5)], -1
+        [
+            0.05 * torch.sin(2 * torch.pi * times / 1.2),
+            bob,
+            0.04 * torch.cos(2 * torch.pi * times / 1.5),
+        ],
+        -1,
     )
     return _moves(turns, [(Y, around), (Z, 0.05 * (left - right))], place)
 

@@ -1,0 +1,53 @@
+"""Where the studio's cameras stand.
+
+Conventions. World: +Y up, the floor at y = 0, metres; camera 0 stands on +Z and trains, the others
+stand on a circle around the person and test.
+"""
+
+import math
+
+import torch
+
+from deblur_avatar.artifacts import Cameras
+from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.imaging.mesh_rendering import View
+
+DISTANCE = 4.0  # metres from the cameras to the middle of the studio
+AIM = 0.90  # metres above the floor; what the cameras look at
+FIELD = 2.06  # metres seen from top to bottom at that distance: the person fills 85 %
+TRAINING_HEIGHT = 1.0  # metres
+TEST_HEIGHTS = (0.7, 1.25, 1.8)  # metres, in turn
+
+
+def place_cameras(test_cameras: int, image_size: int) -> Cameras:
+    """One training camera, and test cameras at equal angles between it and itself."""
+    count = test_cameras + 1
+    heights = [TRAINING_HEIGHT] + [TEST_HEIGHTS[k % len(TEST_HEIGHTS)] for k in range(test_cameras)]
+    target, up = torch.tensor([0.0, AIM, 0.0]), torch.tensor([0.0, 1.0, 0.0])
+    Ks, viewmats = [], []
+    for index, height in enumerate(heights):
+        angle = 2 * math.pi * index / count
+        eye = torch.tensor([DISTANCE * math.sin(angle), height, DISTANCE * math.cos(angle)])
+        focal = image_size * float((eye - target).norm()) / FIELD
+        middle = image_size / 2
+        Ks.append(torch.tensor([[focal, 0, middle], [0, focal, middle], [0, 0, 1]]))
+        viewmats.append(look_at(eye, target, up))
+    return Cameras(
+        Ks=torch.stack(Ks),
+        viewmats=torch.stack(viewmats),
+        distortion=torch.zeros(count, 5),
+        sizes=torch.full((count, 2), image_size),
+        names=("train", *(f"test{index}" for index in range(1, count))),
+    )
+
+
+def view_of(cameras: Cameras, index: int, samples_per_axis: int) -> View:
+    """One camera as the renderer wants it."""
+    width, height = cameras.sizes[index].tolist()
+    return View(
+        K=cameras.Ks[index].double().numpy(),
+        viewmat=cameras.viewmats[index].double().numpy(),
+        width=width,
+        height=height,
+        samples_per_axis=samples_per_axis,
+    )

@@ -1,0 +1,223 @@
+"""The studio: one clothed person, one camera to train and several to test, all truth known.
+
+Conventions. World: +Y up, the floor at y = 0, metres; the person starts facing camera 0, which stands
+on +Z. There are `SUBFRAMES` sub-frames a frame; frame f is sub-frame SUBFRAMES * f. The background is
+black. Everything drawn is an instant: blur is the mean of instants.
+"""
+
+import itertools
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Body, Cameras, Clip, Poses, Reference
+from deblur_avatar.config import StudioParams
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.imaging.color import linear_to_srgb
+from deblur_avatar.imaging.exposure import (
+    blur_windows,
+    exposure_seconds,
+    frames_before,
+    frames_with_whole_window,
+)
+from deblur_avatar.imaging.mesh_rendering import (
+    Lighting,
+    Picture,
+    render_sequence,
+    seen_cells,
+    seen_pixels,
+)
+from deblur_avatar.sources.studio.cameras import place_cameras, view_of
+from deblur_avatar.sources.studio.motion import Moves, move
+from deblur_avatar.sources.studio.noise import disturb
+from deblur_avatar.sources.studio.person import Person, create_person
+
+SUBFRAMES = 8
+SEEN_CELLS = 3  # along a triangle's edge
+LIGHTING = Lighting(
+    ambient=0.45, sky=0.25, lamps=(((0.5, 0.6, 1.0), 0.25), ((-0.6, 0.5, -0.8), 0.2))
+)
+BETAS = (-0.3, 0.6, -0.4, 0.5, 0.3)  # a lean person; further shape numbers are 0
+
+
+def load_studio(
+    params: StudioParams, body: Body, generator: torch.Generator
+) -> tuple[Clip, Reference]:
+    """Film the scene.
+
+    Args:
+        params: of the clip.
+        body: whose joints the person has; the poses are given for it.
+        generator: draws the noise of the initial poses.
+
+    Returns:
+        The training camera's clip, and the sharp truth seen by all test cameras.
+
+    Raises:
+        ConfigError: if the clip is too short for its blur window, nothing is left for training, or
+            the motion is not known.
+    """
+    timestamps = torch.arange(params.frames, dtype=torch.float64) / params.fps
+    held_out_from = params.frames - round(params.frames * params.held_out)
+    training, testing = _split(params, timestamps, held_out_from)
+    betas = torch.zeros(body.shape_dirs.shape[2])
+    betas[: len(BETAS)] = torch.tensor(BETAS)[: len(betas)]
+    person = create_person(body, betas)
+    cameras = place_cameras(params.test_cameras, params.image_size)
+
+    def moves_at(times: Float[Tensor, " M"]) -> Moves:
+        return move(params.motion, times, held_out_from / params.fps)
+
+    true, subtimes = moves_at(timestamps), _subframe_times(params)
+    fine = moves_at(subtimes)
+    frames, in_srgb, in_linear = _film(params, person, fine, cameras)
+    initial = disturb(
+        true,
+        timestamps,
+        params.noise_degrees,
+        params.noise_mm,
+        params.noise_correlation_s,
+        generator,
+    )
+    clip = Clip(
+        frames=frames[None, ..., :3],
+        mattes=frames[None, ..., 3],
+        recorded=(0,),
+        train_camera=0,
+        cameras=cameras,
+        timestamps=timestamps.float(),
+        blurred=False,
+        exposure=0.0,
+        light="linear",
+        held_out_from=held_out_from,
+        initial=_poses(initial, betas),
+        exact=_poses(true, betas),
+        true_blur_srgb=in_srgb[..., :3],
+        true_blur_linear=in_linear[..., :3],
+        true_blur_mattes=in_linear[..., 3],
+        frame_indices=tuple(frames_with_whole_window(params.frames, SUBFRAMES, params.window)),
+        true_blur_exposure=exposure_seconds(params.window, SUBFRAMES, params.fps),
+    )
+    images, seen = _film_tests(params, person, true, training, testing, cameras)
+    shown = torch.tensor(testing).repeat(params.test_cameras)
+    reference = Reference(
+        images=images[..., :3],
+        mattes=images[..., 3],
+        seen=seen,
+        camera_indices=torch.arange(1, params.test_cameras + 1).repeat_interleave(len(testing)),
+        frame_indices=shown,
+        novel_pose=(shown >= held_out_from).long(),
+        background=(0.0, 0.0, 0.0),
+        motion_times=subtimes.float(),
+        motion=_poses(fine, betas),
+    )
+    return clip, reference
+
+
+def _split(
+    params: StudioParams, timestamps: Float[Tensor, " F"], held_out_from: int
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Frames whose whole exposure lies in the training part, and frames that test."""
+    try:
+        whole = frames_with_whole_window(params.frames, SUBFRAMES, params.window)
+    except ValueError as error:
+        raise ConfigError(f"clip.window: {error}") from None
+    exposure = exposure_seconds(params.window, SUBFRAMES, params.fps)
+    end = held_out_from / params.fps
+    training = tuple(f for f in frames_before(timestamps, exposure, end) if f in whole)
+    if not training:
+        raise ConfigError(
+            f"clip: no frame is left for training: {params.frames} frames, of which "
+            f"{params.frames - held_out_from} are held out, and a window of {params.window} "
+            "sub-frames; take more frames or a shorter window"
+        )
+    held_out = tuple(f for f in whole if f >= held_out_from)
+    return training, training[:: params.test_stride] + held_out[:: params.test_stride]
+
+
+def _subframe_times(params: StudioParams) -> Float[Tensor, " M"]:
+    count = SUBFRAMES * (params.frames - 1) + 1
+    return torch.arange(count, dtype=torch.float64) / (SUBFRAMES * params.fps)
+
+
+def _film(
+    params: StudioParams, person: Person, fine: Moves, cameras: Cameras
+) -> tuple[UInt8[Tensor, "F H W 4"], UInt8[Tensor, "E H W 4"], UInt8[Tensor, "E H W 4"]]:
+    """The training camera's frames, and their blur averaged in sRGB and in linear light."""
+    frames: list[UInt8[np.ndarray, "H W 4"]] = []
+
+    def subframes() -> Iterator[UInt8[np.ndarray, "H W 4"]]:
+        view = view_of(cameras, 0, params.samples_per_axis)
+        pictures = render_sequence(person.posed(fine), person.mesh, view, LIGHTING, workers())
+        total = len(fine.transl)
+        for index, picture in enumerate(run.progress(pictures, "filming", total)):
+            coded = encode(picture)
+            if index % SUBFRAMES == 0:
+                frames.append(coded)
+            yield coded
+
+    window = params.frames, SUBFRAMES, params.window
+    first, second = itertools.tee(subframes())
+    blurs = list(
+        zip(
+            blur_windows(first, *window, "srgb"),
+            blur_windows(second, *window, "linear"),
+            strict=True,
+        )
+    )
+    in_srgb, in_linear = (torch.from_numpy(np.stack(blur)) for blur in zip(*blurs, strict=True))
+    return torch.from_numpy(np.stack(frames)), in_srgb, in_linear
+
+
+def _film_tests(
+    params: StudioParams,
+    person: Person,
+    true: Moves,
+    training: tuple[int, ...],
+    testing: tuple[int, ...],
+    cameras: Cameras,
+) -> tuple[UInt8[Tensor, "V H W 4"], UInt8[Tensor, "V H W"]]:
+    """Sharp views of every test camera, and which of their pixels the training camera saw."""
+    faces = person.mesh.faces
+    seen = seen_cells(person.posed(_at(true, training)), faces, view_of(cameras, 0, 1), SEEN_CELLS)
+    shown = list(person.posed(_at(true, testing)))
+    images, masks = [], []
+    for index in run.progress(range(1, params.test_cameras + 1), "filming the truth"):
+        view = view_of(cameras, index, params.samples_per_axis)
+        images += [
+            encode(picture)
+            for picture in render_sequence(shown, person.mesh, view, LIGHTING, workers())
+        ]
+        masks += [seen_pixels(vertices, faces, view, seen) for vertices in shown]
+    return torch.from_numpy(np.stack(images)), torch.from_numpy(np.stack(masks) * np.uint8(255))
+
+
+def encode(picture: Picture) -> UInt8[np.ndarray, "H W 4"]:
+    """A picture over black as 8-bit sRGB, and its coverage as a fourth channel."""
+    srgb = linear_to_srgb(torch.from_numpy(picture.light)).numpy()
+    both = np.concatenate([srgb, picture.coverage[..., None]], -1)
+    return np.rint(both.clip(0, 1) * 255).astype(np.uint8)
+
+
+def workers() -> int:
+    """How many threads draw."""
+    return min(4, len(os.sched_getaffinity(0)))
+
+
+def _at(moves: Moves, frames: tuple[int, ...]) -> Moves:
+    chosen = list(frames)
+    return Moves(moves.global_orient[chosen], moves.body_pose[chosen], moves.transl[chosen])
+
+
+def _poses(moves: Moves, betas: Float[Tensor, " B"]) -> Poses:
+    return Poses(
+        betas=betas,
+        global_orient=moves.global_orient.float(),
+        body_pose=moves.body_pose.float(),
+        transl=moves.transl.float(),
+    )

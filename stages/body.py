@@ -1,0 +1,20 @@
+"""Bake the body of one or more scenes into the project's own container."""
+
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.config import BodyParams, load_params
+from deblur_avatar.pipeline.body import build_body
+
+
+def main(name: str, out: Path, params_file: Path) -> None:
+    """Build the body `bodies.<name>` and write it to `out`."""
+    params = load_params(params_file, f"bodies.{name}", BodyParams)
+    seed = load_params(params_file, "seed", int)
+
+    with run.stage("body", name, seed):
+        build_body(params).save(out)
+
+
+if __name__ == "__main__":
+    run.command(main)

@@ -1,0 +1,90 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import torch
+
+from deblur_avatar.artifacts import BlurryClip, Cameras, Clip
+
+ROOT = Path(__file__).resolve().parents[2]
+PARAMS = """
+seed: 0
+scenes:
+  tiny:
+    blur: {frames: interpolated, factor: 2, window: 3, light: srgb}
+"""
+
+
+def tiny_clip() -> Clip:
+    generator = torch.Generator().manual_seed(0)
+    frames = torch.randint(0, 256, (1, 5, 6, 8, 3), generator=generator, dtype=torch.uint8)
+    return Clip(
+        frames=frames,
+        mattes=frames[..., 0].contiguous(),
+        recorded=(0,),
+        train_camera=0,
+        cameras=Cameras(
+            Ks=torch.tensor([[[8.0, 0, 4], [0, 8, 3], [0, 0, 1]]]),
+            viewmats=torch.eye(4)[None],
+            distortion=torch.zeros(1, 5),
+            sizes=torch.tensor([[8, 6]]),
+            names=("only",),
+        ),
+        timestamps=torch.arange(5) / 30.0,
+        blurred=False,
+        exposure=None,
+        light="srgb",
+        held_out_from=4,
+        initial=None,
+        exact=None,
+        true_blur_srgb=None,
+        true_blur_linear=None,
+        true_blur_mattes=None,
+        frame_indices=None,
+        true_blur_exposure=None,
+    )
+
+
+def run_stage(folder: Path, params: str) -> "subprocess.CompletedProcess[str]":
+    (folder / "params.yaml").write_text(params)
+    options = {
+        "scene": "tiny",
+        "clip": folder / "clip",
+        "out": folder / "blur",
+        "metrics": folder / "metrics.json",
+        "params-file": folder / "params.yaml",
+    }
+    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    return subprocess.run(
+        [sys.executable, "stages/blur.py", *words],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_the_stage_blurs_a_few_pixels(tmp_path):
+    tiny_clip().save(tmp_path / "clip" / "clip")
+    done = run_stage(tmp_path, PARAMS)
+    assert done.returncode == 0, done.stderr
+    blurry = BlurryClip.load(tmp_path / "blur")
+    assert blurry.frame_indices == (1, 2, 3)
+    assert blurry.held_out_from == 3
+    measured = json.loads((tmp_path / "metrics.json").read_text())
+    assert measured["scene"] == "tiny"
+    assert measured["frames"]["kept"] == 3
+    assert abs(measured["exposure_ms"] - 50) < 0.01
+
+
+def test_an_even_window_ends_with_one_line_and_no_output(tmp_path):
+    tiny_clip().save(tmp_path / "clip" / "clip")
+    done = run_stage(tmp_path, PARAMS.replace("window: 3", "window: 4"))
+    assert done.returncode == 1
+    assert "ConfigError: blur.window: a window centred on a frame is odd, got 4" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "blur").exists()
+
+
+def test_a_missing_clip_is_one_clear_error(tmp_path):
+    done = run_stage(tmp_path, PARAMS)
+    assert done.returncode == 1
+    assert f"ArtifactError: no clip/1 in {tmp_path / 'clip' / 'clip'}" in done.stderr
