@@ -297,6 +297,26 @@ class RunParams(Params):
     method: str
 
 
+# --- animate ------------------------------------------------------------------------------------
+
+
+class AnimationParams(Params):
+    """A motion that the avatar of the run of this name is shown in.
+
+    `motion` is `builtin:<name>` or a file, and may hold `${VARIABLE:-default}`.
+    """
+
+    scene: str
+    motion: str
+    start: NonNegative  # seconds into the motion
+    seconds: Positive
+    fps: Positive
+    image_size: Annotated[int, Field(ge=16, multiple_of=2)]  # square, pixels; videos want it even
+    turns: float  # of the stage from the first frame to the last, so that every side is seen
+    travel: Fraction  # of the motion's steps; 0 is on the spot
+    margin: NonNegative  # around the person, as a share of the picture she fills
+
+
 # --- the loader ---------------------------------------------------------------------------------
 
 
@@ -331,6 +351,7 @@ def check_parameters(path: Path) -> None:
         "scenes": SceneParams,
         "warmups": WarmupParams,
         "runs": RunParams,
+        "animations": AnimationParams,
     }
     load_params(path, "seed", int)
     for section, kind in sections.items():
@@ -349,6 +370,9 @@ def check_parameters(path: Path) -> None:
         warmup = f"{entry['scene']}-{entry['observations']}-{entry['start']}"
         if warmup not in content["warmups"]:
             raise ConfigError(f"{path}: runs.{name} goes on from {warmup}, add it to warmups")
+    for name, entry in content["animations"].items():
+        if content["runs"].get(name, {}).get("scene") != entry["scene"]:
+            raise ConfigError(f"{path}: animations.{name}: no run {name!r} on {entry['scene']!r}")
 
 
 def parse(kind: Any, value: Any, where: str) -> Any:

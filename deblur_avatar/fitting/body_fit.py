@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int64
+from scipy.interpolate import BSpline
 from torch import Tensor
 
 from deblur_avatar import run
@@ -37,9 +38,10 @@ logger = logging.getLogger(__name__)
 LANDMARK_M = 0.03
 LANDMARK_SHARE = 0.015
 OUTLINE_SHARE = 0.01
-ACCELERATION = 30.0  # of joints, m/s^2: a kick's
-ANGULAR_ACCELERATION = 150.0  # of joints' rotations, rad/s^2
+ACCELERATION = 60.0  # of joints, m/s^2: a kick's
+ANGULAR_ACCELERATION = 300.0  # of joints' rotations, rad/s^2
 BEYOND_LIMIT = 0.1  # radians
+KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
 OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
 SATURATION = 3.0  # standard deviations at which a measurement has half its say
 OUTLINE_WEIGHT = 20.0  # landmarks that one matte counts as
@@ -60,18 +62,21 @@ class BodyFit(NamedTuple):
 
 
 class _Unknowns(NamedTuple):
-    """What is solved for."""
+    """What is solved for: D knots' control values of all that moves."""
 
     betas: Float[Tensor, " B"]
-    turn: Float[Tensor, "F 3"]  # of the whole body about its first guess, so that no angle wraps
-    body_pose: Float[Tensor, "F K 3"]
-    transl: Float[Tensor, "F 3"]
+    turn: Float[Tensor, "D 3"]  # of the whole body about its first guess, so that no angle wraps
+    body_pose: Float[Tensor, "D 3*K"]
+    transl: Float[Tensor, "D 3"]
     offsets: Float[Tensor, "M 3"]  # of landmarks
 
 
 class _Posed(NamedTuple):
-    """The body that a set of unknowns describes, metres."""
+    """The body that a set of unknowns describes; metres, radians."""
 
+    turn: Float[Tensor, "F 3"]
+    body_pose: Float[Tensor, "F K 3"]
+    transl: Float[Tensor, "F 3"]
     joints: Float[Tensor, "F J 3"]
     landmarks: Float[Tensor, "F L 3"]
     surface: Float[Tensor, "F P 3"]
@@ -101,6 +106,7 @@ class _Problem:
     found: Triangulated
     outlines: Silhouettes
     orient: Float[Tensor, "F 3 3"]  # first guess
+    basis: Float[Tensor, "F D"]  # frames from control values
     interval: float  # seconds between frames
     extent: float
 
@@ -140,7 +146,9 @@ def fit_body(
     lenses = cameras.Ks[chosen], cameras.viewmats[chosen]
     found = triangulate(pixels, confidences, *lenses, OUTLIER_SHARE * extent)
     _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
-    orient, transl = _first_guess(body, marks, found)
+    interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
+    basis = _spline_basis(len(timestamps), max(1, round(KNOT_SECONDS / interval)))
+    orient, transl = _first_guess(body, marks, found, basis)
     problem = _Problem(
         body=body,
         surface=_spread_points(body),
@@ -153,17 +161,20 @@ def fit_body(
         found=found,
         outlines=silhouettes([person.mattes for person in people]),
         orient=orient,
-        interval=float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0,
+        basis=basis,
+        interval=interval,
         extent=extent,
     )
     unknowns = _solve(problem, transl)
-    residuals = torch.stack([_residuals(problem, unknowns, view) for view in range(len(pixels))])
+    posed = _pose(problem, unknowns)
     poses = Poses(
         betas=unknowns.betas,
-        global_orient=matrix_to_axis_angle(orient @ axis_angle_to_matrix(unknowns.turn)),
-        body_pose=unknowns.body_pose,
-        transl=unknowns.transl,
+        global_orient=matrix_to_axis_angle(orient @ axis_angle_to_matrix(posed.turn)),
+        body_pose=posed.body_pose,
+        transl=posed.transl,
     )
+    projected = [project(posed.landmarks, *camera)[0] for camera in zip(*lenses, strict=True)]
+    residuals = (torch.stack(projected) - pixels).norm(dim=-1)
     return BodyFit(poses, residuals * (confidences > 0), extent)
 
 
@@ -193,9 +204,11 @@ def _check_agreement(
 
 
 def _first_guess(
-    body: Body, marks: LandmarkMap, found: Triangulated
-) -> tuple[Float[Tensor, "F 3 3"], Float[Tensor, "F 3"]]:
-    """Turn and place of the torso in each frame: the rigid motion that best fits four landmarks.
+    body: Body, marks: LandmarkMap, found: Triangulated, basis: Float[Tensor, "F D"]
+) -> tuple[Float[Tensor, "F 3 3"], Float[Tensor, "D 3"]]:
+    """Smooth turn of the torso, and control values of its place.
+
+    In each frame they are the rigid motion that best fits four landmarks.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters", 1991, without scale.
     """
@@ -209,14 +222,29 @@ def _first_guess(
     nearest = whole[(frames[:, None] - whole).abs().argmin(1)]
     seen = found.points[nearest][:, rows]
     middle, rest_middle = seen.mean(1, keepdim=True), rest.mean(0)
-    left, _, right = torch.linalg.svd((seen - middle).transpose(1, 2) @ (rest - rest_middle))
-    mirror = torch.linalg.det(left @ right)
-    left = torch.cat([left[..., :2], left[..., 2:] * mirror[:, None, None]], dim=-1)
-    orient = left @ right
+    matrices = (seen - middle).transpose(1, 2) @ (rest - rest_middle)
+    smoother = basis @ torch.linalg.pinv(basis)
+    orient = torch.einsum("fg,gij->fij", smoother, _nearest_rotation(matrices))
+    orient = _nearest_rotation(orient)
     # The pelvis stays at `joints[0]` when the body turns.
     pivot = body.joints[0]
     transl = middle[:, 0] - (orient @ (rest_middle - pivot)) - pivot
-    return orient, transl
+    return orient, torch.linalg.pinv(basis) @ transl
+
+
+def _nearest_rotation(matrices: Float[Tensor, "F 3 3"]) -> Float[Tensor, "F 3 3"]:
+    left, _, right = torch.linalg.svd(matrices)
+    mirror = torch.linalg.det(left @ right)
+    return torch.cat([left[..., :2], left[..., 2:] * mirror[:, None, None]], dim=-1) @ right
+
+
+def _spline_basis(count: int, spacing: int) -> Float[Tensor, "F D"]:
+    """What each control value of a uniform cubic B-spline adds to each of `count` frames."""
+    last = -(-(count - 1) // spacing)  # intervals between knots
+    knots = torch.arange(-3, last + 4, dtype=torch.float64).numpy()
+    places = torch.arange(count, dtype=torch.float64).numpy() / spacing
+    dense = BSpline.design_matrix(places, knots, 3).toarray()
+    return torch.from_numpy(dense).float()
 
 
 def _spread_points(body: Body) -> _Surface:
@@ -235,25 +263,30 @@ def _spread_points(body: Body) -> _Surface:
 
 def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
     body, surface = problem.body, problem.surface
+    turn, transl = problem.basis @ unknowns.turn, problem.basis @ unknowns.transl
+    body_pose = (problem.basis @ unknowns.body_pose).unflatten(1, (-1, 3))
     joints = shaped_joints(body, unknowns.betas)
-    orient = problem.orient @ axis_angle_to_matrix(unknowns.turn)
-    rotations = torch.cat([orient[:, None], axis_angle_to_matrix(unknowns.body_pose)], dim=1)
-    transforms = forward_kinematics(rotations, joints, unknowns.transl, body.parents)
+    orient = problem.orient @ axis_angle_to_matrix(turn)
+    rotations = torch.cat([orient[:, None], axis_angle_to_matrix(body_pose)], dim=1)
+    transforms = forward_kinematics(rotations, joints, transl, body.parents)
     points = surface.points + surface.shape_dirs @ unknowns.betas
     return _Posed(
+        turn=turn,
+        body_pose=body_pose,
+        transl=transl,
         joints=(transforms[..., :3, :3] @ joints[..., None])[..., 0] + transforms[..., :3, 3],
         landmarks=problem.marks.positions(transforms, joints, unknowns.offsets),
         surface=skin_points(points, surface.lbs_weights, transforms),
     )
 
 
-def _solve(problem: _Problem, transl: Float[Tensor, "F 3"]) -> _Unknowns:
+def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
     """First by landmarks in space, then by what the pictures show."""
-    count, joints = len(transl), len(problem.body.parents)
+    knots, joints = len(transl), len(problem.body.parents)
     unknowns = _Unknowns(
         betas=torch.zeros(problem.body.shape_dirs.shape[2], requires_grad=True),
-        turn=torch.zeros(count, 3, requires_grad=True),
-        body_pose=torch.zeros(count, joints - 1, 3, requires_grad=True),
+        turn=torch.zeros(knots, 3, requires_grad=True),
+        body_pose=torch.zeros(knots, 3 * (joints - 1), requires_grad=True),
         transl=transl.clone().requires_grad_(),
         offsets=problem.marks.offsets.clone().requires_grad_(),
     )
@@ -328,13 +361,13 @@ def _partners(problem: _Problem, posed: _Posed) -> list[Int64[Tensor, "F Q"]]:
 def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tensor, ""]:
     """What is known of bodies: shapes, smooth motion, limits of joints."""
     limits, marks = problem.limits, problem.marks
-    pose = unknowns.body_pose
+    pose = posed.body_pose
     beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
     relaxed = pose / limits.spread[:, None]
     offsets = (unknowns.offsets - marks.offsets) / marks.spreads[:, None]
     step = problem.interval**2
     acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
-    rotations = torch.cat([unknowns.turn[:, None], pose], dim=1)
+    rotations = torch.cat([posed.turn[:, None], pose], dim=1)
     angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
     squares = [unknowns.betas, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
     return torch.stack([term.square().sum() for term in squares]).sum()
@@ -342,11 +375,3 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
 
 def _second_difference(values: Float[Tensor, "F D 3"]) -> Float[Tensor, "G D 3"]:
     return values[2:] - 2 * values[1:-1] + values[:-2]
-
-
-@torch.no_grad()
-def _residuals(problem: _Problem, unknowns: _Unknowns, view: int) -> Float[Tensor, "F L"]:
-    marks, _ = project(
-        _pose(problem, unknowns).landmarks, problem.Ks[view], problem.viewmats[view]
-    )
-    return (marks - problem.pixels[view]).norm(dim=-1)

@@ -1,0 +1,89 @@
+"""An avatar in motions that it was not filmed in."""
+
+import dataclasses
+import logging
+from collections.abc import Callable, Iterable
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from deblur_avatar.artifacts import Avatar, Observations, Poses
+from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.avatar.model import AvatarModel, draw
+from deblur_avatar.avatar.placement import framed_intrinsics, place
+from deblur_avatar.config import AnimationParams, expand_environment
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.sources.motion_files import read_motion
+
+logger = logging.getLogger(__name__)
+
+FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
+
+
+def animate(
+    avatar: Avatar,
+    observations: Observations,
+    params: AnimationParams,
+    *,
+    where: str,
+    device: torch.device,
+    progress: Callable[[Iterable[int], str], Iterable[int]],
+) -> UInt8[Tensor, "F H W 3"]:
+    """Draw an avatar doing a motion, seen by its training camera's eye in a frame of its own.
+
+    The person keeps its shape, stands where it was filmed and faces the camera at first.
+
+    Args:
+        avatar: whom to draw.
+        observations: how the person was filmed; gives body, camera and the way up.
+        params: which motion, and how to show it.
+        where: key of `params`, for messages.
+        device: on which to draw.
+        progress: wraps the loop over frames.
+
+    Raises:
+        ConfigError: if there is no such motion, or it cannot be shown from this camera.
+        ArtifactError: if the motion's file is damaged.
+    """
+    body, cameras = observations.body, observations.cameras
+    filmed = dataclasses.replace(observations.poses, betas=avatar.betas)
+    viewmat = cameras.viewmats[observations.train_camera]
+    motion = read_motion(
+        expand_environment(params.motion, f"{where}.motion"),
+        body,
+        avatar.betas,
+        fps=params.fps,
+        start=params.start,
+        seconds=params.seconds,
+    )
+    try:
+        poses = place(motion, body, filmed, viewmat, turns=params.turns, travel=params.travel)
+        chosen = pick(poses, range(0, len(poses.transl), -(-len(poses.transl) // FRAMING_POSES)))
+        points = posed_vertices(
+            body, chosen.betas, chosen.global_orient, chosen.body_pose, chosen.transl
+        )
+        K = framed_intrinsics(
+            points, cameras.Ks[observations.train_camera], viewmat, params.image_size, params.margin
+        )
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    logger.info("%d frames of %s at %g a second", len(poses.transl), params.motion, params.fps)
+    model = AvatarModel.from_artifact(avatar, body, device)
+    size = params.image_size
+    frames = [
+        draw(model, pick(poses, [index]), K.to(device), viewmat.to(device), size, size)[0][0]
+        for index in progress(range(len(poses.transl)), "animate")
+    ]
+    return (torch.stack(frames).cpu() * 255).round().to(torch.uint8)
+
+
+def pick(poses: Poses, frames: Iterable[int]) -> Poses:
+    """Some frames of a motion."""
+    index = torch.tensor(list(frames))
+    return Poses(
+        betas=poses.betas,
+        global_orient=poses.global_orient[index],
+        body_pose=poses.body_pose[index],
+        transl=poses.transl[index],
+    )
