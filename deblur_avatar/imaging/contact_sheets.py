@@ -20,8 +20,8 @@ def contact_sheet(
 ) -> UInt8[np.ndarray, "_ _ 3"]:
     """Lay pictures out in rows, left to right, each under its label.
 
-    Cells are as large as the largest picture; smaller ones are centred, none is scaled. Labels wider
-    than their cell are drawn smaller.
+    Cells are as large as the largest picture; smaller ones are centred, none is scaled. Labels
+    wider than their cell are drawn smaller.
 
     Args:
         images: sRGB, sizes may differ.
@@ -54,9 +54,7 @@ def contact_sheet(
     return sheet
 
 
-def _write(
-    sheet: UInt8[np.ndarray, "_ _ 3"], text: str, left: int, top: int, width: int
-) -> None:
+def _write(sheet: UInt8[np.ndarray, "_ _ 3"], text: str, left: int, top: int, width: int) -> None:
     face = cv2.FONT_HERSHEY_SIMPLEX
     scale = cv2.getFontScaleFromHeight(face, TEXT_HEIGHT, 1)
     (wide, _), _ = cv2.getTextSize(text, face, scale, 1)

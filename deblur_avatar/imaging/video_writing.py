@@ -5,6 +5,7 @@ One encoder thread and no clock, so equal pictures give equal bytes with one ver
 
 import logging
 from collections.abc import Iterable
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 
@@ -22,9 +23,7 @@ BT709 = 1  # ITU-T H.273's number for HD television's primaries and matrix
 SRGB_CURVE = 13  # ITU-T H.273's number for sRGB's curve
 
 
-def write_video(
-    path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float
-) -> int:
+def write_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float) -> int:
     """Encode pictures in order, replacing `path` in one move: whole or not at all.
 
     Odd widths and heights, which the format cannot hold, get a column or row more (the last one
@@ -51,13 +50,12 @@ def write_video(
     except OSError as error:
         raise ArtifactError(f"cannot write video {path}: {error}") from error
     finally:
-        scratch.unlink(missing_ok=True)
+        with suppress(OSError):
+            scratch.unlink()
     return count
 
 
-def _encode(
-    path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float
-) -> int:
+def _encode(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float) -> int:
     options = {"movflags": "+faststart", "fflags": "+bitexact"}
     with av.open(str(path), "w", format="mp4", options=options) as container:
         stream = None

@@ -36,15 +36,16 @@ namespace {
 // ---------------------------------------------------------------- vectors as wide as the machine's
 
 #if defined(__AVX512F__)
-constexpr int L = 16, BLOCK_W = 4, BLOCK_H = 4, GRID_W = 4, GRID_H = 4;
+constexpr int L = 16, GRID_W = 4, GRID_H = 4;
 #elif defined(__AVX__)
-constexpr int L = 8, BLOCK_W = 4, BLOCK_H = 2, GRID_W = 4, GRID_H = 8;
+constexpr int L = 8, GRID_W = 4, GRID_H = 8;
 #else
-constexpr int L = 4, BLOCK_W = 2, BLOCK_H = 2, GRID_W = 8, GRID_H = 8;
+constexpr int L = 4, GRID_W = 4, GRID_H = 8;
 #endif
+constexpr int ROWS = L / 4, BLOCK_W = 4, BLOCK_H = ROWS;
 constexpr int BLOCKS = GRID_W * GRID_H, TILE_W = GRID_W * BLOCK_W, TILE_H = GRID_H * BLOCK_H;
 constexpr int TILE_PIXELS = TILE_W * TILE_H;
-static_assert(BLOCK_W * BLOCK_H == L && BLOCKS % L == 0, "a block is one vector of pixels");
+static_assert(BLOCKS % L == 0, "visits are found one lane a block");
 
 typedef float vf __attribute__((vector_size(L * 4)));
 typedef int32_t vi __attribute__((vector_size(L * 4)));
@@ -98,18 +99,6 @@ inline vi lane_numbers() {
   return v;
 }
 
-// 2^p for p in [-126, 127]. Degree 5 on [-1, 0], minimax with p(0) = 1: relative error 8.4e-8.
-inline vf exp2(vf p) {
-  const vi n = to_int(p);  // towards zero
-  const vf f = p - to_float(n);
-  vf y = 9.44903476e-4f * f + 9.20579777e-3f;
-  y = y * f + 5.52973579e-2f;
-  y = y * f + 2.40180143e-1f;
-  y = y * f + 6.93143721e-1f;
-  y = y * f + 1.0f;
-  return (vf)((vi)y + (n << 23));
-}
-
 // log2 of positive, normal x, by the series of 2 atanh((m - 1) / (m + 1)); relative error 3e-8.
 inline vf log2(vf x) {
   const vi bits = (vi)x - 0x3f3504f3;  // sqrt(1/2): the mantissa m lies in [sqrt(1/2), sqrt(2))
@@ -123,36 +112,127 @@ inline vf log2(vf x) {
   return exponent + 1.44269504f * (y * s);
 }
 
-// Exchange the blocks of S lanes that lie off the diagonal; log2(L) of these transpose a matrix.
-template <int S>
-inline void exchange(vf& a, vf& b) {
-  const vi lane = lane_numbers();
-  const vi low = (lane & S) != 0 ? lane + (L - S) : lane;
-  const vi high = (lane & S) != 0 ? lane + L : lane + S;
+// Permutations of two vectors, written as a function from a lane to where it comes from: lanes of
+// `a` are counted from 0, those of `b` from L.
 #if defined(__clang__)
-  vf x, y;
-  for (int i = 0; i < L; ++i) {
-    x[i] = low[i] < L ? a[low[i]] : b[low[i] - L];
-    y[i] = high[i] < L ? a[high[i]] : b[high[i] - L];
-  }
+template <class Where>
+inline vf permute(vf a, vf b, Where where) {
+  vf out;
+  for (int i = 0; i < L; ++i) out[i] = where(i) < L ? a[where(i)] : b[where(i) - L];
+  return out;
+}
 #else
-  const vf x = __builtin_shuffle(a, b, low), y = __builtin_shuffle(a, b, high);
+template <class Where>
+inline vf permute(vf a, vf b, Where where) {
+  vi from;
+  for (int i = 0; i < L; ++i) from[i] = where(i);
+  return __builtin_shuffle(a, b, from);
+}
 #endif
-  a = x;
-  b = y;
+
+// A vector is ROWS rows of four lanes. Within each row, of a and b in turn: the first two lanes of
+// both alternating, the last two alternating, the first two, the last two.
+inline vf interleave_first(vf a, vf b) {
+  return permute(a, b, [](int i) { return (i & ~3) + (i >> 1 & 1) + (i & 1 ? L : 0); });
+}
+inline vf interleave_last(vf a, vf b) {
+  return permute(a, b, [](int i) { return (i & ~3) + 2 + (i >> 1 & 1) + (i & 1 ? L : 0); });
+}
+inline vf join_first(vf a, vf b) {
+  return permute(a, b, [](int i) { return (i & ~3) + (i & 1) + (i & 2 ? L : 0); });
+}
+inline vf join_last(vf a, vf b) {
+  return permute(a, b, [](int i) { return (i & ~3) + 2 + (i & 1) + (i & 2 ? L : 0); });
+}
+template <int lane>
+inline vf splat_in_rows(vf a) {
+  return permute(a, a, [](int i) { return (i & ~3) + lane; });
+}
+// Of the rows of a, then those of b: every second one, from the first or from the second on.
+inline vf even_rows(vf a, vf b) {
+  return permute(a, b, [](int i) { return 8 * (i >> 2) + (i & 3); });
+}
+inline vf odd_rows(vf a, vf b) {
+  return permute(a, b, [](int i) { return 8 * (i >> 2) + 4 + (i & 3); });
 }
 
-template <int S>
-inline void transpose_stage(vf* v) {
-  for (int i = 0; i < L; ++i)
-    if (!(i & S)) exchange<S>(v[i], v[i | S]);
+// Transpose the 4 x 4 matrices that row after row of four vectors make.
+inline void transpose_in_rows(const vf* in, vf* out) {
+  const vf a = interleave_first(in[0], in[1]), b = interleave_first(in[2], in[3]);
+  const vf c = interleave_last(in[0], in[1]), d = interleave_last(in[2], in[3]);
+  out[0] = join_first(a, b), out[1] = join_last(a, b);
+  out[2] = join_first(c, d), out[3] = join_last(c, d);
 }
 
+// Transpose the matrix whose entries are the rows of ROWS vectors, `stride` apart.
+inline void transpose_rows(vf* v, int stride) {
+  if (ROWS == 2) {
+    const vf a = v[0], b = v[stride];
+    v[0] = even_rows(a, b), v[stride] = odd_rows(a, b);
+  } else if (ROWS == 4) {
+    const vf a = v[0], b = v[stride], c = v[2 * stride], d = v[3 * stride];
+    const vf even = even_rows(a, b), odd = odd_rows(a, b);
+    const vf even2 = even_rows(c, d), odd2 = odd_rows(c, d);
+    v[0] = even_rows(even, even2), v[2 * stride] = odd_rows(even, even2);
+    v[stride] = even_rows(odd, odd2), v[3 * stride] = odd_rows(odd, odd2);
+  }
+}
+
+// Row i of the result is the sum of the rows of v[i].
+inline vf sum_of_rows(const vf* v) {
+  if (ROWS == 1) return v[0];
+  const vf first = even_rows(v[0], v[1 % ROWS]) + odd_rows(v[0], v[1 % ROWS]);
+  if (ROWS == 2) return first;
+  const vf second = even_rows(v[2 % ROWS], v[3 % ROWS]) + odd_rows(v[2 % ROWS], v[3 % ROWS]);
+  return even_rows(first, second) + odd_rows(first, second);
+}
+
+// Transpose L vectors.
 inline void transpose(vf* v) {
-  transpose_stage<1>(v);
-  transpose_stage<2>(v);
-  if (L >= 8) transpose_stage<L >= 8 ? 4 : 1>(v);
-  if (L >= 16) transpose_stage<L >= 16 ? 8 : 1>(v);
+  for (int i = 0; i < L; i += 4) transpose_in_rows(v + i, v + i);
+  for (int i = 0; i < 4; ++i) transpose_rows(v + i, 4);
+}
+
+// Several vectors treated alike: their instructions alternate, so that none waits for the last.
+constexpr int M = 4;
+struct Many {
+  vf v[M];
+  vf& operator[](int i) { return v[i]; }
+  const vf& operator[](int i) const { return v[i]; }
+};
+template <class F>
+inline Many each(F f) {
+  Many out;
+  for (int i = 0; i < M; ++i) out[i] = f(i);
+  return out;
+}
+inline Many operator+(const Many& a, const Many& b) {
+  return each([&](int i) { return a[i] + b[i]; });
+}
+inline Many operator-(const Many& a, const Many& b) {
+  return each([&](int i) { return a[i] - b[i]; });
+}
+inline Many operator*(const Many& a, const Many& b) {
+  return each([&](int i) { return a[i] * b[i]; });
+}
+inline Many operator/(const Many& a, const Many& b) {
+  return each([&](int i) { return a[i] / b[i]; });
+}
+inline Many all(vf x) {
+  return each([&](int) { return x; });
+}
+
+// 2^p for p in [-126, 127]. Degree 5 on [-1, 0], minimax with p(0) = 1: relative error 8.4e-8.
+inline Many exp2(const Many& p) {
+  vi n[M];
+  for (int i = 0; i < M; ++i) n[i] = to_int(p[i]);  // towards zero
+  const Many f = each([&](int i) { return p[i] - to_float(n[i]); });
+  Many y = each([&](int i) { return 9.44903476e-4f * f[i] + 9.20579777e-3f; });
+  y = each([&](int i) { return y[i] * f[i] + 5.52973579e-2f; });
+  y = each([&](int i) { return y[i] * f[i] + 2.40180143e-1f; });
+  y = each([&](int i) { return y[i] * f[i] + 6.93143721e-1f; });
+  y = each([&](int i) { return y[i] * f[i] + 1.0f; });
+  return each([&](int i) { return (vf)((vi)y[i] + (n[i] << 23)); });
 }
 
 // ------------------------------------------------------------------------------- data and layouts
@@ -546,10 +626,26 @@ inline void find_visits(const Tile& tile, const Record* records, int n, Visits* 
   }
 }
 
-// The exponent of one Gaussian at the pixels of one block.
-inline vf exponent(const Record& r, vf dx, vf dy) {
-  return (r.a * dx + r.b * dy) * dx + (r.c * dy * dy + r.logo);
+// List the pairs that visit a block, filled up to a multiple of M by one that never shows.
+inline int list_visits(const Visits* visits, int groups, int block, int32_t* list) {
+  int count = 0;
+  for (int g = 0; g < groups; ++g)
+    for (uint64_t word = visits[g].word(block); word; word &= word - 1)
+      list[count++] = g * GROUP + __builtin_ctzll(word);
+  const int listed = count;
+  while (count % M) list[count++] = SEGMENT;
+  return listed;
 }
+
+// Records of one segment, and the one that never shows.
+struct Segment {
+  Record records[SEGMENT + 1];
+
+  Segment() {
+    std::memset(records + SEGMENT, 0, sizeof(Record));
+    records[SEGMENT].logo = -1e30f;
+  }
+};
 
 // Front to back, state in registers. `through` is the transmittance; it goes on falling below
 // MIN_TRANSMITTANCE, where a pixel is finished and nothing counts, so that no flag is needed.
@@ -566,33 +662,47 @@ struct State {
 template <int V>
 inline bool composite_block(const Record* records, Visits* visits, int groups, int block, vf px,
                             vf py, State<V>& out) {
+  int32_t list[SEGMENT + M];
+  const int count = list_visits(visits, groups, block, list);
   State<V> s = out;
-  bool finished = false;
-  for (int g = 0; g < groups; ++g) {
-    uint64_t word = visits[g].word(block);
-    if (finished) {  // the way back need not look at these either
-      visits[g].half[0][block] = visits[g].half[1][block] = 0;
-      continue;
+  const vf least = splat(LOG2_MIN_ALPHA);
+  int at = 0;
+  while (at < count) {
+    const Record* r[M];
+    for (int i = 0; i < M; ++i) r[i] = records + list[at + i];
+    const Many dx = each([&](int i) { return px - r[i]->x; });
+    const Many dy = each([&](int i) { return py - r[i]->y; });
+    Many slope = each([&](int i) { return r[i]->a * dx[i]; });
+    Many power = each([&](int i) { return r[i]->c * dy[i]; });
+    slope = each([&](int i) { return r[i]->b * dy[i] + slope[i]; });
+    power = each([&](int i) { return power[i] * dy[i] + r[i]->logo; });
+    power = slope * dx + power;
+    Many alpha = exp2(each([&](int i) { return max(power[i], least); }));
+    alpha = each([&](int i) { return only(power[i] >= least, min(alpha[i], splat(MAX_ALPHA))); });
+    const Many kept = each([&](int i) { return 1.0f - alpha[i]; });
+    vf through[M + 1];
+    through[0] = s.through;
+    for (int i = 0; i < M; ++i) through[i + 1] = through[i] * kept[i];
+    const Many weight = each(
+        [&](int i) { return only(through[i + 1] > MIN_TRANSMITTANCE, alpha[i] * through[i]); });
+    for (int i = 0; i < M; ++i) {
+      for (int v = 0; v < V; ++v) s.seen[v] += weight[i] * r[i]->value[v];
+      s.last = through[i + 1] > MIN_TRANSMITTANCE ? through[i + 1] : s.last;
     }
-    if (!word) continue;
-    const Record* const first = records + g * GROUP;
-    for (; word; word &= word - 1) {
-      const Record& r = first[__builtin_ctzll(word)];
-      const vf power = exponent(r, px - r.x, py - r.y);
-      const vf floor_power = splat(LOG2_MIN_ALPHA);
-      vf alpha = min(exp2(max(power, floor_power)), splat(MAX_ALPHA));
-      alpha = only(power >= floor_power, alpha);
-      const vf after = s.through * (1.0f - alpha);
-      const vi alive = after > MIN_TRANSMITTANCE;
-      const vf weight = only(alive, alpha * s.through);
-      for (int v = 0; v < V; ++v) s.seen[v] += weight * r.value[v];
-      s.last = alive ? after : s.last;
-      s.through = after;
-    }
-    finished = s.finished();
+    s.through = through[M];
+    at += M;
+    if (at % 16 == 0 && s.finished()) break;
   }
   out = s;
-  return finished;
+  if (at >= count) return s.finished();
+  // The way back need not look at the rest either.
+  const int rest = list[at];
+  for (int g = rest / GROUP; g < groups; ++g) {
+    const uint64_t keep = g > rest / GROUP ? 0 : ((uint64_t)1 << rest % GROUP) - 1;
+    visits[g].half[0][block] &= (int32_t)(uint32_t)keep;
+    visits[g].half[1][block] &= (int32_t)(uint32_t)(keep >> 32);
+  }
+  return true;
 }
 
 // Composite one busy tile into `states` ([BLOCKS][V + 1][L]: seen, last).
@@ -603,7 +713,8 @@ void composite_tile(const Frame& f, const Tile& tile, float* states) {
   const int64_t busy = f.busy_index[tile.pose * tiles_of(f) + tile.number];
   sort_by_depth(f.unsorted + begin, f.unsorted + f.pairs + begin, n, f.sorted + begin);
 
-  Record records[SEGMENT];
+  Segment segment;
+  Record* const records = segment.records;
   Visits scratch[SEGMENT / GROUP];
   State<V> state[BLOCKS];
   bool finished[BLOCKS] = {};
@@ -722,118 +833,115 @@ template <int V>
 constexpr int SLOT = (SV + V + 2 + 3) / 4 * 4;
 
 // What L visits of one block found, before the sums over its pixels.
-template <int V>
 struct Batch {
   vf g[L], weight[L], pull[L];
   alignas(64) float x[L], y[L];
-  int pair[L];
-  int count = 0;
 };
 
 // Sum a batch over its pixels and add it to its pairs: one lane a pixel becomes one lane a visit.
+// Within the rows of its vectors first (x), then across (y).
 template <int V>
-__attribute__((noinline)) void add_batch(Batch<V>& batch, const vf* value_grad, float px, float py,
-                                         float* sums) {
-  transpose(batch.g);
-  vf out[16] = {};
-  {
-    vf row0[BLOCK_H], row1[BLOCK_H], row2[BLOCK_H];
-    for (int y = 0; y < BLOCK_H; ++y) {
-      const vf* const g = batch.g + y * BLOCK_W;
-      row0[y] = g[0] + g[1], row1[y] = g[1], row2[y] = g[1];
-      for (int x = 2; x < BLOCK_W; ++x) {
-        row0[y] += g[x];
-        row1[y] += (float)x * g[x];
-        row2[y] += (float)(x * x) * g[x];
-      }
-    }
-    vf s0 = row0[0], sx = row1[0], sxx = row2[0], sy = splat(0.0f), sxy = sy, syy = sy;
-    for (int y = 1; y < BLOCK_H; ++y) {
-      s0 += row0[y], sx += row1[y], sxx += row2[y];
-      sy += (float)y * row0[y], sxy += (float)y * row1[y], syy += (float)(y * y) * row0[y];
-    }
-    // From the block's first pixel to each Gaussian's centre.
-    const vf ox = px - load(batch.x), oy = py - load(batch.y);
-    const vf mx = sx + ox * s0, my = sy + oy * s0;
-    out[S0] = s0, out[SX] = mx, out[SY] = my;
-    out[SXX] = sxx + ox * (sx + mx);
-    out[SXY] = sxy + ox * sy + oy * mx;
-    out[SYY] = syy + oy * (sy + my);
+__attribute__((noinline)) void add_batch(const Batch& batch, const int32_t* pairs, int count,
+                                         const vf* value_grad, float px, float py, float* sums) {
+  vf grad[V][4];
+  for (int v = 0; v < V; ++v) {
+    grad[v][0] = splat_in_rows<0>(value_grad[v]), grad[v][1] = splat_in_rows<1>(value_grad[v]);
+    grad[v][2] = splat_in_rows<2>(value_grad[v]), grad[v][3] = splat_in_rows<3>(value_grad[v]);
   }
-  transpose(batch.weight);
-  for (int p = 0; p < L; ++p)
-    for (int v = 0; v < V; ++v) out[SV + v] += batch.weight[p] * value_grad[v][p];
-  transpose(batch.pull);
-  for (int p = 0; p < L / 2; ++p) {
-    out[SV + V] += batch.pull[p];
-    out[SV + V + 1] += batch.pull[p + L / 2];
+  vf m0[ROWS], m1[ROWS], m2[ROWS], values[V][ROWS], pull_x[ROWS], pull_y[ROWS];
+  for (int i = 0; i < ROWS; ++i) {
+    vf t[4];
+    transpose_in_rows(batch.g + 4 * i, t);
+    m0[i] = (t[0] + t[1]) + (t[2] + t[3]);
+    m1[i] = t[1] + 2.0f * t[2] + 3.0f * t[3];
+    m2[i] = t[1] + 4.0f * t[2] + 9.0f * t[3];
+    transpose_in_rows(batch.weight + 4 * i, t);
+    for (int v = 0; v < V; ++v)
+      values[v][i] = (t[0] * grad[v][0] + t[1] * grad[v][1]) + (t[2] * grad[v][2] + t[3] * grad[v][3]);
+    transpose_in_rows(batch.pull + 4 * i, t);
+    pull_x[i] = t[0] + t[1], pull_y[i] = t[2] + t[3];
   }
+  transpose_rows(m0, 1);
+  transpose_rows(m1, 1);
+  vf s0 = m0[0], sx = m1[0], sy = splat(0.0f), sxy = sy, syy = sy;
+  const vf sxx = sum_of_rows(m2);
+  for (int y = 1; y < ROWS; ++y) {
+    s0 += m0[y], sx += m1[y];
+    sy += (float)y * m0[y], sxy += (float)y * m1[y], syy += (float)(y * y) * m0[y];
+  }
+  // From the block's first pixel to each Gaussian's centre.
+  const vf ox = px - load(batch.x), oy = py - load(batch.y);
+  const vf mx = sx + ox * s0, my = sy + oy * s0;
+  vf out[16] = {s0, mx, my, sxx + ox * (sx + mx), sxy + ox * sy + oy * mx, syy + oy * (sy + my)};
+  for (int v = 0; v < V; ++v) out[SV + v] = sum_of_rows(values[v]);
+  out[SV + V] = sum_of_rows(pull_x), out[SV + V + 1] = sum_of_rows(pull_y);
+
   constexpr int PARTS = (SLOT<V> + L - 1) / L;
   for (int part = 0; part < PARTS; ++part) {
     transpose(out + part * L);
-    for (int k = 0; k < batch.count; ++k) {
-      float* const to = sums + batch.pair[k] * 16 + part * L;
+    for (int k = 0; k < count; ++k) {
+      float* const to = sums + pairs[k] * 16 + part * L;
       store(to, load(to) + out[part * L + k]);
     }
   }
-  batch.count = 0;
-}
-
-// Lower halves of two vectors added to their upper halves, side by side.
-inline vf fold(vf a, vf b) {
-  const vi lane = lane_numbers();
-  const vi low = lane < L / 2 ? lane : lane + L / 2, high = low + L / 2;
-#if defined(__clang__)
-  vf x, y;
-  for (int i = 0; i < L; ++i) {
-    x[i] = low[i] < L ? a[low[i]] : b[low[i] - L];
-    y[i] = high[i] < L ? a[high[i]] : b[high[i] - L];
-  }
-  return x + y;
-#else
-  return __builtin_shuffle(a, b, low) + __builtin_shuffle(a, b, high);
-#endif
 }
 
 // `rest` is what the loss gains from all that is still behind: it starts as the whole pixel's.
 template <int V>
 inline void differentiate_block(const Record* records, const Visits* visits, int groups, int block,
                                 vf px, vf py, const vf* value_grad, vf& through_, vf& rest_,
-                                Batch<V>& batch, float* sums) {
-  vf through = through_, rest = rest_, grad[V];
+                                float* sums) {
+  int32_t list[SEGMENT + M];
+  const int count = list_visits(visits, groups, block, list);
+  Batch batch;
+  vf rest = rest_, before = through_, grad[V];
   for (int v = 0; v < V; ++v) grad[v] = value_grad[v];
-  for (int g = 0; g < groups; ++g) {
-    uint64_t word = visits[g].word(block);
-    for (; word; word &= word - 1) {
-      const int j = g * GROUP + __builtin_ctzll(word);
-      const Record& r = records[j];
-      const vf dx = px - r.x, dy = py - r.y;
-      const vf adx = r.a * dx, slope = adx + r.b * dy, cdy = r.c * dy;
-      const vf power = slope * dx + (cdy * dy + r.logo);
-      const vf floor_power = splat(LOG2_MIN_ALPHA);
-      const vf raw = exp2(max(power, floor_power));
-      const vf alpha = only(power >= floor_power, min(raw, splat(MAX_ALPHA)));
-      const vf kept = 1.0f - alpha;
-      const vf after = through * kept;
-      const vi alive = after > MIN_TRANSMITTANCE;
-      const vf weight = only(alive, alpha * through);
-      vf gain = grad[0] * r.value[0];
-      for (int v = 1; v < V; ++v) gain += grad[v] * r.value[v];
-      rest -= weight * gain;
-      const vf alpha_grad = through * gain - rest / kept;
-      const vf moment = only(alive & (raw <= MAX_ALPHA), alpha * alpha_grad);
-      const int k = batch.count++;
-      batch.g[k] = moment;
-      batch.weight[k] = weight;
-      batch.pull[k] = fold(abs(moment * (slope + adx)), abs(moment * (r.b * dx + (cdy + cdy))));
-      batch.x[k] = r.x, batch.y[k] = r.y;
-      batch.pair[k] = j;
-      through = after;
-      if (batch.count == L) add_batch<V>(batch, value_grad, px[0], py[0], sums);
+  const vf least = splat(LOG2_MIN_ALPHA);
+  for (int at = 0; at < count; at += M) {
+    const Record* r[M];
+    for (int i = 0; i < M; ++i) r[i] = records + list[at + i];
+    const Many dx = each([&](int i) { return px - r[i]->x; });
+    const Many dy = each([&](int i) { return py - r[i]->y; });
+    const Many adx = each([&](int i) { return r[i]->a * dx[i]; });
+    const Many cdy = each([&](int i) { return r[i]->c * dy[i]; });
+    const Many slope = each([&](int i) { return r[i]->b * dy[i] + adx[i]; });
+    Many power = each([&](int i) { return cdy[i] * dy[i] + r[i]->logo; });
+    power = slope * dx + power;
+    const Many raw = exp2(each([&](int i) { return max(power[i], least); }));
+    const Many alpha =
+        each([&](int i) { return only(power[i] >= least, min(raw[i], splat(MAX_ALPHA))); });
+    const Many kept = each([&](int i) { return 1.0f - alpha[i]; });
+    vf through[M + 1], after[M + 1];
+    through[0] = before;
+    for (int i = 0; i < M; ++i) through[i + 1] = through[i] * kept[i];
+    before = through[M];
+    const Many weight = each(
+        [&](int i) { return only(through[i + 1] > MIN_TRANSMITTANCE, alpha[i] * through[i]); });
+    Many gain = each([&](int i) { return grad[0] * r[i]->value[0]; });
+    for (int v = 1; v < V; ++v)
+      gain = each([&](int i) { return grad[v] * r[i]->value[v] + gain[i]; });
+    after[0] = rest;
+    for (int i = 0; i < M; ++i) after[i + 1] = after[i] - weight[i] * gain[i];
+    rest = after[M];
+    const Many behind = each([&](int i) { return after[i + 1] / kept[i]; });
+    const Many moment = each([&](int i) {
+      const vf alpha_grad = through[i] * gain[i] - behind[i];
+      const vi counts = (through[i + 1] > MIN_TRANSMITTANCE) & (raw[i] <= MAX_ALPHA);
+      return only(counts, alpha[i] * alpha_grad);
+    });
+    const int k = at % L;
+    for (int i = 0; i < M; ++i) {
+      batch.g[k + i] = moment[i];
+      batch.weight[k + i] = weight[i];
+      batch.x[k + i] = r[i]->x, batch.y[k + i] = r[i]->y;
+      const vf x = abs(moment[i] * (slope[i] + adx[i]));
+      const vf y = abs(moment[i] * (r[i]->b * dx[i] + (cdy[i] + cdy[i])));
+      batch.pull[k + i] = join_first(x, y) + join_last(x, y);
     }
+    if (k + M == L || at + M >= count)
+      add_batch<V>(batch, list + at - k, std::min(L, count - (at - k)), value_grad, px[0], py[0], sums);
   }
-  if (batch.count) add_batch<V>(batch, value_grad, px[0], py[0], sums);
-  through_ = through, rest_ = rest;
+  through_ = before, rest_ = rest;
 }
 
 // Gradients of one tile's pixels, one vector a block and value, and what the loss gains from each.
@@ -844,17 +952,25 @@ inline void load_gradients(const Frame& f, const Tile& tile, const float* states
   const int64_t picture = f.average ? 0 : tile.pose;
   const float scale = f.average ? 1.0f / f.poses : 1.0f;
   alignas(64) float grads[BLOCKS][V + 1][L];
-  if (tile.width < TILE_W || tile.height < TILE_H || C + f.depth < V || !f.image_grad)
-    std::memset(grads, 0, sizeof grads);
+  const bool whole = tile.width == TILE_W && tile.height == TILE_H;
+  std::memset(grads, 0, sizeof grads);
   for (int y = 0; y < tile.height; ++y) {
     const int64_t row = (picture * f.height + tile.y0 + y) * f.width + tile.x0;
-    for (int x = 0; x < tile.width; ++x) {
-      float* const to = &grads[y / BLOCK_H * GRID_W + x / BLOCK_W][0][y % BLOCK_H * BLOCK_W + x % BLOCK_W];
-      if (f.image_grad)
-        for (int c = 0; c < C; ++c) to[c * L] = f.image_grad[(row + x) * C + c];
-      if (f.depth) to[C * L] = f.depths_grad ? f.depths_grad[row + x] : 0.0f;
-      to[V * L] = f.alpha_grad ? f.alpha_grad[row + x] : 0.0f;
-    }
+    float* const to = &grads[y / BLOCK_H * GRID_W][0][y % BLOCK_H * BLOCK_W];
+    const auto copy = [&](int value, const float* from, int stride) {
+      if (!from) return;
+      float* const start = to + value * L;
+      if (whole) {
+        for (int x = 0; x < TILE_W; ++x)
+          start[x / BLOCK_W * (V + 1) * L + x % BLOCK_W] = from[x * stride];
+      } else {
+        for (int x = 0; x < tile.width; ++x)
+          start[x / BLOCK_W * (V + 1) * L + x % BLOCK_W] = from[x * stride];
+      }
+    };
+    for (int c = 0; c < C; ++c) copy(c, f.image_grad ? f.image_grad + row * C + c : nullptr, C);
+    if (f.depth) copy(C, f.depths_grad ? f.depths_grad + row : nullptr, 1);
+    copy(V, f.alpha_grad ? f.alpha_grad + row : nullptr, 1);
   }
   for (int k = 0; k < BLOCKS; ++k) {
     const float* const s = states + k * (V + 1) * L;
@@ -878,10 +994,10 @@ void differentiate_tile(const Frame& f, int64_t busy, int64_t first_slot) {
   const int tile_x = tile.x0 / TILE_W, tile_y = tile.y0 / TILE_H;
   const Record* const all = f.records + tile.pose * f.gaussians;
 
-  Record records[SEGMENT];
-  alignas(64) float sums[SEGMENT * 16];
+  Segment segment;
+  Record* const records = segment.records;
+  alignas(64) float sums[(SEGMENT + 1) * 16];
   vf value_grad[BLOCKS][V], through[BLOCKS], rest[BLOCKS];
-  Batch<V> batch;
   load_gradients<V>(f, tile, f.states + busy * BLOCKS * (V + 1) * L, value_grad, rest);
   for (int k = 0; k < BLOCKS; ++k) through[k] = splat(1.0f);
   const Grid grid(tile);
@@ -894,8 +1010,7 @@ void differentiate_tile(const Frame& f, int64_t busy, int64_t first_slot) {
       const Visits* const visits = f.visits + begin / GROUP + busy + done / GROUP;
       for (int k = 0; k < BLOCKS; ++k)
         differentiate_block<V>(records, visits, (m + GROUP - 1) / GROUP, k, grid.x + Grid::dx(k),
-                               grid.y + Grid::dy(k), value_grad[k], through[k], rest[k], batch,
-                               sums);
+                               grid.y + Grid::dy(k), value_grad[k], through[k], rest[k], sums);
     }
     for (int j = 0; j < m; ++j) {
       const Record& r = records[j];
@@ -1055,9 +1170,9 @@ int64_t tile_width() { return TILE_W; }
 int64_t tile_height() { return TILE_H; }
 int64_t visits_bytes() { return sizeof(Visits); }
 int64_t visits_group() { return GROUP; }
-int64_t states_floats(int64_t values) { return BLOCKS * (std::max<int64_t>(values, 3) + 1) * L; }
+int64_t states_floats(int64_t values) { return BLOCKS * ((values <= 3 ? 3 : 5) + 1) * L; }
 int64_t slot_floats(int64_t values) {
-  return values <= 3 ? SLOT<3> : values == 4 ? SLOT<4> : SLOT<5>;
+  return values <= 3 ? SLOT<3> : SLOT<5>;
 }
 
 // Returns which inputs are not finite (NotFinite), or TOO_MANY_PAIRS; 0 if all is well.
@@ -1140,17 +1255,13 @@ void forward(Frame* frame) {
   for (int64_t i = 0; f.keep && i < f.poses * tiles; ++i)
     if (f.busy_index[i] >= 0) f.busy_tiles[f.busy_index[i]] = (int32_t)i;
   const int64_t values = values_of(f);
-  if (values <= 3) draw<3>(f);
-  else if (values == 4) draw<4>(f);
-  else draw<5>(f);
+  values <= 3 ? draw<3>(f) : draw<5>(f);
 }
 
 void backward(Frame* frame) {
   const Frame& f = *frame;
   const int64_t values = values_of(f);
-  if (values <= 3) differentiate<3>(f);
-  else if (values == 4) differentiate<4>(f);
-  else differentiate<5>(f);
+  values <= 3 ? differentiate<3>(f) : differentiate<5>(f);
 }
 
 // The background shows through every pixel: the sum of its gradient times what is not covered. The

@@ -1,0 +1,67 @@
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.video_writing import write_video
+
+
+def pictures(count: int = 12, height: int = 33, width: int = 47) -> list[np.ndarray]:
+    """A red square on a blue ramp; it moves 2 pixels a picture."""
+    stack = np.zeros((count, height, width, 3), np.uint8)
+    stack[..., 2] = np.linspace(40, 200, width)
+    for index, picture in enumerate(stack):
+        picture[10:24, 2 * index : 2 * index + 14] = (220, 30, 30)
+    return list(stack)
+
+
+def decode(path: Path) -> tuple[av.VideoStream, list[np.ndarray]]:
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        return stream, [x.to_ndarray(format="rgb24") for x in container.decode(video=0)]
+
+
+def test_a_video_shows_the_pictures_it_was_made_of(tmp_path):
+    assert write_video(tmp_path / "walk.mp4", iter(pictures()), 30.0) == 12
+    _, shown = decode(tmp_path / "walk.mp4")
+    assert len(shown) == 12
+    for wanted, picture in zip(pictures(), shown, strict=True):
+        # Colour is stored at half the resolution, so that the square's edges differ.
+        assert np.abs(picture[:33, :47].astype(int) - wanted).mean() < 4
+        assert np.abs(picture[14:20, -6:].astype(int) - wanted[14:20, -7:-1]).max() < 8
+
+
+def test_any_browser_can_play_it(tmp_path):
+    write_video(tmp_path / "walk.mp4", pictures(), 59.94)
+    stream, _ = decode(tmp_path / "walk.mp4")
+    assert stream.codec_context.name == "h264"
+    assert stream.codec_context.pix_fmt == "yuv420p"
+    assert float(stream.average_rate) == pytest.approx(59.94)
+    assert (stream.width, stream.height) == (48, 34)
+    content = (tmp_path / "walk.mp4").read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat")  # starts before all of it is there
+
+
+def test_equal_pictures_give_equal_bytes(tmp_path):
+    for name in ("one.mp4", "two.mp4"):
+        write_video(tmp_path / name, pictures(), 30.0)
+    assert (tmp_path / "one.mp4").read_bytes() == (tmp_path / "two.mp4").read_bytes()
+
+
+def test_a_video_that_fails_leaves_the_old_one_and_no_scrap(tmp_path):
+    write_video(tmp_path / "walk.mp4", pictures(), 30.0)
+    before = (tmp_path / "walk.mp4").read_bytes()
+    with pytest.raises(ValueError, match="picture 13 is 20 x 10 pixels, those before are 48 x 34"):
+        write_video(tmp_path / "walk.mp4", [*pictures(), *pictures(1, 10, 20)], 30.0)
+    with pytest.raises(ValueError, match="at least one picture"):
+        write_video(tmp_path / "walk.mp4", [], 30.0)
+    assert (tmp_path / "walk.mp4").read_bytes() == before
+    assert [x.name for x in tmp_path.iterdir()] == ["walk.mp4"]
+
+
+def test_a_disk_that_refuses_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ArtifactError, match=r"cannot write video .*file/walk.mp4"):
+        write_video(tmp_path / "file" / "walk.mp4", pictures(), 30.0)

@@ -1,0 +1,177 @@
+"""dvc.yaml tells the truth, and the truth about sharp frames stays out of reach of fitting."""
+
+import ast
+import re
+import subprocess
+import sys
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.structure.import_closure import (
+    ROOT,
+    code_dependencies,
+    expanded,
+    import_closure,
+    is_code,
+    script_of,
+    stages,
+)
+
+STAGES = stages()
+SCRIPTS = sorted((ROOT / "stages").glob("*.py"))
+PARAMS = YAML(typ="safe", pure=True).load(ROOT / "params.yaml")
+VAGUE = {"util", "utils", "helper", "helpers", "common", "misc", "base", "manager", "managers"}
+every_stage = pytest.mark.parametrize("name", STAGES)
+
+
+def main_of(script):
+    tree = ast.parse(script.read_text())
+    return next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == "main")
+
+
+def options_of(stage):
+    """What the command gives to each option of the script."""
+    words = str(stage["cmd"]).split()
+    return {
+        word.removeprefix("--").replace("-", "_"): value
+        for word, value in zip(words, words[1:], strict=False)
+        if word.startswith("--")
+    }
+
+
+def loaded_sections(stage):
+    """The sections of params.yaml that a script loads, in dvc.yaml's own notation."""
+    main = main_of(script_of(stage))
+    known = options_of(stage)
+    sections = set()
+    for node in ast.walk(main):
+        if isinstance(node, ast.Assign) and _key(node.value) is not None:
+            (target,) = node.targets
+            if isinstance(target, ast.Name) and isinstance(_key(node.value), ast.Constant):
+                known[target.id] = "${" + _key(node.value).value + "}"
+    for node in ast.walk(main):
+        key = _key(node)
+        if isinstance(key, ast.Constant):
+            sections.add(key.value)
+        elif isinstance(key, ast.JoinedStr):
+            parts = [
+                p.value if isinstance(p, ast.Constant) else known[p.value.id] for p in key.values
+            ]
+            sections.add("".join(parts))
+        else:
+            assert key is None, "keys of load_params must be literals or f-strings"
+    return sections
+
+
+def _key(node):
+    if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("load_params"):
+        return node.args[1]
+    return None
+
+
+def paths_in(stage, kind):
+    """Dependencies or outputs as plain strings."""
+    return [
+        next(iter(item)) if isinstance(item, dict) else str(item) for item in stage.get(kind, [])
+    ]
+
+
+@every_stage
+def test_a_stage_depends_on_exactly_the_code_it_runs(name):
+    script = script_of(STAGES[name])
+    declared = [dep for dep in paths_in(STAGES[name], "deps") if is_code(dep)]
+    assert declared == code_dependencies(script), "run `make deps`"
+    assert expanded(declared) == import_closure(script)
+
+
+@every_stage
+def test_a_stage_declares_exactly_the_parameters_it_loads(name):
+    assert set(map(str, STAGES[name].get("params", []))) == loaded_sections(STAGES[name])
+
+
+@every_stage
+def test_a_command_gives_exactly_the_arguments_its_script_takes(name):
+    taken = {argument.arg for argument in main_of(script_of(STAGES[name])).args.args}
+    assert set(options_of(STAGES[name])) == taken
+
+
+@every_stage
+def test_every_path_of_a_command_is_declared(name):
+    stage = STAGES[name]
+    declared = paths_in(stage, "deps") + paths_in(stage, "outs") + ["params.yaml"]
+    for option, value in options_of(stage).items():
+        if "/" in value:
+            covered = [
+                p for p in declared if f"{p}/".startswith(f"{value}/") or value.startswith(p)
+            ]
+            assert covered, f"--{option} {value}"
+
+
+def test_only_evaluation_depends_on_the_reference():
+    readers = {n for n, s in STAGES.items() if any("reference" in d for d in paths_in(s, "deps"))}
+    named = {n for n, s in STAGES.items() if "reference" in str(s["cmd"])}
+    assert readers == named == {"evaluate"}
+
+
+def test_fitting_depends_on_nothing_of_the_clip():
+    for name in ("warmup", "trajectory", "fusion", "animate"):
+        read = [dep for dep in paths_in(STAGES[name], "deps") if dep.startswith("data/")]
+        assert read
+        assert not [dep for dep in read if dep.startswith(("data/clip", "data/blur/"))]
+
+
+def test_only_the_ceiling_is_told_the_exact_poses():
+    for name, run in PARAMS["runs"].items():
+        assert (run["observations"] == "exact") == (run["method"] == "ceiling"), name
+
+
+def test_only_the_oracle_and_the_ceiling_see_sharp_frames():
+    for name, run in PARAMS["runs"].items():
+        sharp = run["observations"] in ("sharp", "exact")
+        assert sharp == (run["method"] in ("oracle", "ceiling")), name
+
+
+def test_runs_and_warmups_are_named_after_what_they_are():
+    for name, run in PARAMS["runs"].items():
+        assert name == f"{run['scene']}-{run['method']}"
+    for name, warmup in PARAMS["warmups"].items():
+        assert name == f"{warmup['scene']}-{warmup['observations']}-{warmup['start']}"
+
+
+def test_every_script_is_a_stage_and_has_its_module():
+    assert {script.stem for script in SCRIPTS} == set(STAGES)
+    for name in STAGES:
+        assert (ROOT / "deblur_avatar" / "pipeline" / f"{name}.py").is_file(), name
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_a_script_is_a_sentence(script):
+    assert len(script.read_text().splitlines()) <= 40
+    branching = (ast.If, ast.For, ast.While, ast.Try, ast.IfExp, ast.comprehension, ast.BinOp)
+    steps = [node for node in ast.walk(main_of(script)) if isinstance(node, branching)]
+    joined = (ast.Div, ast.BitOr)  # paths and dictionaries are put together so
+    steps = [n for n in steps if not (isinstance(n, ast.BinOp) and isinstance(n.op, joined))]
+    assert not steps, ast.unparse(steps[0])
+
+
+def test_stages_do_not_import_each_other():
+    for script in SCRIPTS:
+        assert not re.search(r"(from|import) stages", script.read_text()), script
+
+
+def test_no_path_says_that_it_holds_whatever_was_left_over():
+    for folder in ("deblur_avatar", "stages", "tests", "benchmarks", "docs"):
+        for path in (ROOT / folder).rglob("*"):
+            words = set(re.split(r"[^a-z]+", str(path.relative_to(ROOT)).lower()))
+            assert not words & VAGUE, path
+
+
+def test_dvc_understands_the_pipeline():
+    command = [sys.executable, "-m", "dvc", "stage", "list"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    listed = {line.split()[0].split("@")[0] for line in done.stdout.splitlines() if line.strip()}
+    assert listed == set(STAGES)
+    for run in PARAMS["runs"]:
+        assert f"evaluate@{run}" in done.stdout
