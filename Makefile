@@ -33,3 +33,7 @@ test: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.rasterizer
+
+# Writes into dvc.yaml which code each stage runs; a test compares.
+deps: $(STAMP)
+	$(BIN)/python -m tests.structure.import_closure --write

@@ -6,9 +6,11 @@ mattes are 8-bit coverage, 255 for a pixel the person fills. Angles in radians, 
 times in seconds. World axes are the source's own; cameras are OpenCV's.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import torch
 from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
@@ -95,6 +97,16 @@ class Poses(Artifact):
     global_orient: Float32[Tensor, "F 3"]
     body_pose: Float32[Tensor, "F K 3"]  # K = J - 1
     transl: Float32[Tensor, "F 3"]
+
+    def at(self, frames: slice | Sequence[int] | Tensor) -> "Poses":
+        """Pick some of the instants."""
+        index = frames if isinstance(frames, slice) else torch.as_tensor(frames, dtype=torch.long)
+        return Poses(
+            betas=self.betas,
+            global_orient=self.global_orient[index],
+            body_pose=self.body_pose[index],
+            transl=self.transl[index],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -240,10 +240,12 @@ class StartParams(Params):
 class TrajectoryParams(Params):
     """How the body moves while the shutter is open, and what the frame is compared with."""
 
-    motion: Literal["fixed", "frame", "pair"]
+    motion: Literal["fixed", "frame", "pair", "clip"]
     virtual_poses: Count
     quadrature: Literal["endpoints", "midpoints"]
-    start_noise: NonNegative  # radians; parts start from end
+    start_noise: NonNegative  # pair: radians; parts start from end
+    knot_frames: Positive  # clip: frames between two knots of the trajectory
+    smoothness: NonNegative  # clip: of the first trajectory, against closeness to the given poses
     supervision: Literal["sharp", "mean"]
     mask: Literal["mean", "union", "centre"]
 

@@ -65,7 +65,7 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     default = "cuda" if torch.cuda.is_available() else "cpu"
     device = torch.device(os.environ.get("DEBLUR_AVATAR_DEVICE", default))
     random.seed(derived)
-    np.random.seed(derived)
+    np.random.seed(derived)  # noqa: NPY002, third parties draw from it
     torch.manual_seed(derived)
     torch.use_deterministic_algorithms(True, warn_only=device.type != "cpu")
     generator = torch.Generator(device=device).manual_seed(derived)

@@ -1,4 +1,4 @@
-"""Bake the body of one or more scenes into the project's own container."""
+"""Bake one body into the container that every stage reads."""
 
 from pathlib import Path
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from deblur_avatar import run
 from deblur_avatar.artifacts import Body
 from deblur_avatar.config import ClipParams, load_params
+from deblur_avatar.fitting.landmarks import detect_with_mediapipe
 from deblur_avatar.pipeline.clip import load_clip
 
 
@@ -14,7 +15,9 @@ def main(scene: str, body: Path, out: Path, params_file: Path) -> None:
     seed = load_params(params_file, "seed", int)
 
     with run.stage("clip", scene, seed) as context:
-        clip, reference = load_clip(params, Body.load(body), context.generator)
+        clip, reference = load_clip(
+            params, Body.load(body), detect=detect_with_mediapipe, generator=context.generator
+        )
         clip.save(out / "clip")
         reference.save(out / "reference")
 

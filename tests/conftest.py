@@ -1,7 +1,10 @@
 """A person of capsules in front of one camera: the smallest thing that can be fitted."""
 
+import copy
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -9,7 +12,7 @@ import torch
 from deblur_avatar.artifacts import Body, Cameras, Observations, Poses
 from deblur_avatar.avatar.capsule_body import capsule_body
 from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.config import ModelParams
+from deblur_avatar.config import ModelParams, ScheduleParams, StartParams, parse, read_yaml
 from deblur_avatar.geometry.cameras import look_at
 
 SIZE = 24  # pixels
@@ -38,9 +41,7 @@ def swinging_poses(body: Body, frames: int, degrees: float) -> Poses:
 
 
 def camera(size: int = SIZE) -> Cameras:
-    viewmat = look_at(
-        torch.tensor([0.0, 0.0, 4.0]), torch.zeros(3), torch.tensor([0.0, 1.0, 0.0])
-    )
+    viewmat = look_at(torch.tensor([0.0, 0.0, 4.0]), torch.zeros(3), torch.tensor([0.0, 1.0, 0.0]))
     K = torch.tensor([[1.6 * size, 0, size / 2], [0, 1.6 * size, size / 2], [0, 0, 1]])
     return Cameras(
         Ks=K[None],
@@ -51,11 +52,11 @@ def camera(size: int = SIZE) -> Cameras:
     )
 
 
-def colourful(body: Body, frames: int, count: int = 150) -> AvatarModel:
+def colourful(body: Body, frames: int, count: int = 150, light: str = "srgb") -> AvatarModel:
     """An avatar whose colours tell its parts apart."""
     generator = torch.Generator().manual_seed(3)
     model = AvatarModel.create(
-        PLAIN, body, torch.zeros(body.shape_dirs.shape[2]), frames, count, "srgb", generator
+        PLAIN, body, torch.zeros(body.shape_dirs.shape[2]), frames, count, light, generator
     )
     with torch.no_grad():
         gaussians = model.gaussians
@@ -104,3 +105,59 @@ def sharpened(observations: Observations) -> Callable[..., Observations]:
         return dataclasses.replace(observations, **changes)
 
     return replace
+
+
+@pytest.fixture(scope="session")
+def front() -> Cameras:
+    """The camera that `observations` were taken with."""
+    return camera()
+
+
+@pytest.fixture(scope="session")
+def swinging(body: Body) -> Callable[[int, float], Poses]:
+    """Poses of a person whose left arm swings by so many degrees from frame to frame."""
+
+    def make(frames: int, degrees: float) -> Poses:
+        return swinging_poses(body, frames, degrees)
+
+    return make
+
+
+@pytest.fixture
+def painted(body: Body) -> Callable[..., AvatarModel]:
+    """The avatar that `observations` show, without any network."""
+
+    def make(frames: int = 5, light: str = "srgb") -> AvatarModel:
+        return colourful(body, frames, light=light)
+
+    return make
+
+
+@pytest.fixture
+def tiny_content() -> dict[str, Any]:
+    """What params.yaml holds, made so small that a whole fit takes a second."""
+    content = copy.deepcopy(read_yaml(Path(__file__).parents[1] / "params.yaml"))
+    model = content["starts"]["paper"]["model"]
+    model["nonrigid"] = {"bins": 4, "hidden": [8], "codes": 2}
+    model["skinning"] = {"hidden": [16], "pretrain": 20}
+    model["color"] = {"features": 4, "hidden": [8], "latent": 2, "view_noise_degrees": 45.0}
+    content["methods"]["paper"]["fusion"]["network"] = {
+        "hidden": [8], "frame_codes": 4, "color_features": 4,
+    }  # fmt: skip
+    content["schedule"] = "tiny"
+    content["schedules"] = {
+        "tiny": {
+            "warmup": 6, "trajectory": 12, "fusion": 18, "gaussians": 80, "image_height": SIZE,
+        }
+    }  # fmt: skip
+    return content
+
+
+@pytest.fixture
+def start(tiny_content: dict[str, Any]) -> StartParams:
+    return parse(StartParams, tiny_content["starts"]["paper"], "starts.paper")
+
+
+@pytest.fixture
+def schedule(tiny_content: dict[str, Any]) -> ScheduleParams:
+    return parse(ScheduleParams, tiny_content["schedules"]["tiny"], "schedules.tiny")

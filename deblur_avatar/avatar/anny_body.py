@@ -19,6 +19,7 @@ from scipy.stats import norm, qmc
 from torch import Tensor
 
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES, SMPL_PARENTS, Body
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import forward_kinematics, skin_points
 
@@ -86,9 +87,16 @@ def bake_anny(shape_components: int) -> Body:
 
 
 def load_model() -> Any:
-    """Build Anny with the rig `mixamo` in double precision; its cache is removed afterwards."""
-    import anny
-    from anny.paths import get_anny_cache_path, set_anny_cache_path
+    """Build Anny with the rig `mixamo` in double precision; its cache is removed afterwards.
+
+    Raises:
+        ConfigError: if Anny is not installed.
+    """
+    try:
+        import anny  # takes seconds, so only when asked
+        from anny.paths import get_anny_cache_path, set_anny_cache_path
+    except ImportError as error:
+        raise ConfigError(f"the body `anny` needs the package anny: {error}") from None
 
     before = get_anny_cache_path()
     with tempfile.TemporaryDirectory(prefix="anny-") as scratch:

@@ -38,10 +38,21 @@ class ColorNetwork(nn.Module):
         deformation: Float[Tensor, "N Z"],
         frame: int,
     ) -> Float[Tensor, "N 3"]:
-        """Colours in (0, 1). Frames that were never trained borrow the last one's latent code."""
+        """Colours in (0, 1). Frames after the clip's last borrow its latent code."""
         latent = self.latents.weight[min(frame, self.latents.num_embeddings - 1)]
         inputs = torch.cat([features, spherical_harmonics(directions), deformation], dim=1)
         return self.network(inputs, latent).sigmoid()
+
+    def lend(self, trained: Sequence[int]) -> None:
+        """Give each frame that was never trained the latent code of the nearest one that was.
+
+        Source: 3DGS-Avatar draws all unknown frames with the last training frame's code.
+        """
+        codes = self.latents.weight
+        known = torch.tensor(sorted(trained), device=codes.device)
+        apart = torch.arange(len(codes), device=codes.device)[:, None] - known
+        with torch.no_grad():
+            codes.copy_(codes[known[apart.abs().argmin(1)]])
 
 
 def random_view_rotation(

@@ -1,7 +1,8 @@
 """A body's shape and pose as functions of `Body`.
 
 Conventions. SMPL's: `betas` shape, `global_orient` turns the body about its pelvis, `body_pose`
-turns each further joint relative to its parent, `transl` moves it last. Axis-angle, radians, metres.
+turns each further joint relative to its parent, `transl` moves it last. Axis-angle, radians,
+metres.
 """
 
 import torch

@@ -4,6 +4,7 @@ Conventions. What is optimised is unconstrained (`log_scales`, `opacity_logits`,
 is drawn is derived from it. Canonical space, metres, quaternions wxyz.
 """
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int64
 from scipy.spatial import cKDTree
@@ -90,8 +91,12 @@ def sample_surface(
 def neighbour_indices(points: Float[Tensor, "N 3"], count: int) -> Int64[Tensor, "N K"]:
     """The `count` nearest other points of each point."""
     positions = points.detach().cpu().double().numpy()
-    _, index = cKDTree(positions).query(positions, k=min(count + 1, len(positions)), workers=-1)
-    return torch.as_tensor(index, device=points.device).reshape(len(points), -1)[:, 1:]
+    near = min(count + 1, len(positions))
+    _, index = cKDTree(positions).query(positions, k=[*range(1, near + 1)], workers=-1)
+    # Clones lie in one place: a point need not come first among those nearest to it, or at all.
+    others = index != np.arange(len(positions))[:, None]
+    others[others.all(1), -1] = False
+    return torch.as_tensor(index[others].reshape(len(points), -1), device=points.device)
 
 
 def neighbour_distances(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "N K"]:

@@ -3,6 +3,9 @@
 Conventions. *Dressing* is all that does not depend on the instant inside an exposure: non-rigid
 offsets, blend weights, the square root of each covariance. *Posing* applies B sets of joint
 transforms to it in one batch. World coordinates, metres. The canonical pose is Vitruvian.
+
+Deblur-Avatar's text evaluates the non-rigid network at every virtual pose; as in its code, we do so
+once a frame, at the middle.
 """
 
 from dataclasses import dataclass
@@ -25,6 +28,7 @@ from deblur_avatar.avatar.pose_encoder import PoseEncoder
 from deblur_avatar.avatar.posing import covariances, pose_gaussians
 from deblur_avatar.avatar.skinning_field import SkinningField, surface_weights
 from deblur_avatar.config import ModelParams, parse
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import camera_centres
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_matrix,
@@ -59,6 +63,11 @@ class Dressed:
 class AvatarModel(nn.Module):
     """Gaussians and the networks that deform, skin and colour them."""
 
+    betas: Tensor
+    box: Tensor
+    canonical_vertices: Tensor
+    rest_from_canonical: Tensor
+
     def __init__(
         self, params: ModelParams, gaussians: Gaussians, body: Body, betas: Tensor, frames: int,
         light: str,
@@ -66,6 +75,8 @@ class AvatarModel(nn.Module):
         super().__init__()
         self.params, self.body, self.frames, self.light = params, body, frames, light
         self.gaussians = gaussians
+        # The means that have been looked up on the body, and the weights found there.
+        self._found: tuple[Tensor, Tensor] | None = None
         self.register_buffer("betas", betas, persistent=False)
         canonical = vitruvian_transforms(body, betas)
         weights = body.lbs_weights.to(betas)
@@ -86,8 +97,6 @@ class AvatarModel(nn.Module):
             )
         if params.skinning is not None:
             self.skinning = SkinningField(body.parents, params.skinning.hidden)
-        else:
-            self.register_buffer("surface_weights", torch.empty(0), persistent=False)
         if params.color is not None:
             self.color = ColorNetwork(
                 gaussians.features.shape[1], codes, params.color.latent, frames, params.color.hidden
@@ -114,28 +123,34 @@ class AvatarModel(nn.Module):
 
         Raises:
             ConfigError: if the artifact's composition is not one this version knows.
+            ArtifactError: if its networks are not those of the composition.
         """
         parts: dict[str, Any] = avatar.model
         params = parse(ModelParams, parts["params"], "avatar model")
+        # Clones: fitting works in place, and an artifact never changes.
         gaussians = Gaussians(
-            avatar.means, avatar.quats, avatar.log_scales, avatar.opacity_logits, avatar.features
-        )
+            avatar.means.clone(), avatar.quats.clone(), avatar.log_scales.clone(),
+            avatar.opacity_logits.clone(), avatar.features.clone(),
+        )  # fmt: skip
         model = cls(params, gaussians, body, avatar.betas, parts["frames"], parts["light"])
-        networks = {f"{name}": value for name, value in avatar.networks.items()}
-        missing, unexpected = model.load_state_dict(networks, strict=False)
-        lost = [name for name in missing if not name.startswith("gaussians.")]
-        assert not lost
-        assert not unexpected
+        wanted = {name for name in model.state_dict() if not name.startswith("gaussians.")}
+        if wanted != avatar.networks.keys():
+            odd = sorted(wanted ^ avatar.networks.keys())
+            raise ArtifactError(f"avatar/1: networks do not fit model: {odd}; run `dvc repro`")
+        model.load_state_dict(avatar.networks, strict=False)
         return model.to(device)
 
     def to_artifact(self, iteration: int) -> Avatar:
         """What a later stage, or another program, needs to draw this avatar."""
-        state = self.state_dict()
-        networks = {k: v.cpu() for k, v in state.items() if not k.startswith("gaussians.")}
+        self.look_up_again()
+        # Clones: fitting works in place, and an artifact never changes.
+        state = {name: value.cpu().clone() for name, value in self.state_dict().items()}
+        own = "gaussians."
+        gaussians = {k.removeprefix(own): v for k, v in state.items() if k.startswith(own)}
         return Avatar(
-            **{name: value.detach().cpu() for name, value in self.gaussians.named_parameters()},
+            **gaussians,
             betas=self.betas.cpu(),
-            networks=networks,
+            networks={k: v for k, v in state.items() if not k.startswith(own)},
             model={
                 "params": self.params.model_dump(mode="json"),
                 "frames": self.frames,
@@ -162,7 +177,9 @@ class AvatarModel(nn.Module):
             pose_noise: added to the conditioning rotations in training (3DGS-Avatar).
         """
         gaussians = self.gaussians
-        means, quats, log_scales = gaussians.means, gaussians.quats, gaussians.log_scales
+        means: Tensor = gaussians.means
+        quats: Tensor = gaussians.quats
+        log_scales: Tensor = gaussians.log_scales
         code = None
         codes = self.params.nonrigid.codes if self.params.nonrigid is not None else 0
         deformation = means.new_zeros(len(means), codes)
@@ -186,14 +203,21 @@ class AvatarModel(nn.Module):
         return covariances(quat_to_matrix(gaussians.quats) * gaussians.scales[:, None, :])
 
     def weights_at(self, means: Float[Tensor, "N 3"]) -> Float[Tensor, "N J"]:
-        """Blend weights of the Gaussians, wherever the non-rigid network has moved them."""
+        """Blend weights where the non-rigid network has moved the Gaussians.
+
+        Without a skinning network they are those of the body where each Gaussian was when it was
+        last looked up.
+        """
         if self.params.skinning is not None:
             return self.skinning(self._boxed(means) * 2 - 1)
-        if len(self.surface_weights) != len(means):
-            self.surface_weights = surface_weights(
-                self.gaussians.means, self.canonical_vertices, self.body
-            )
-        return self.surface_weights
+        own = self.gaussians.means
+        if self._found is None or self._found[0] is not own:
+            self._found = own, surface_weights(own, self.canonical_vertices, self.body)
+        return self._found[1]
+
+    def look_up_again(self) -> None:
+        """Forget where on the body the Gaussians were, because they have moved."""
+        self._found = None
 
     def transforms(
         self,
@@ -217,9 +241,9 @@ class AvatarModel(nn.Module):
         blended = blend_transforms(dressed.lbs_weights, transforms).detach()
         posed = (blended[:, :3, :3] @ dressed.means[..., None])[..., 0] + blended[:, :3, 3]
         directions = posed - camera_centres(viewmat)
+        directions = (blended[:, :3, :3].mT @ directions[..., None])[..., 0]
         if view_noise is not None:
             directions = directions @ view_noise
-        directions = (blended[:, :3, :3].mT @ directions[..., None])[..., 0]
         directions = nn.functional.normalize(directions, dim=-1)
         features = self.gaussians.features
         return self.color(features, directions, dressed.deformation, dressed.frame)
@@ -267,9 +291,10 @@ def draw(
     groups = [range(len(poses.transl))] if average else [[i] for i in range(len(poses.transl))]
     images, alphas = [], []
     with torch.no_grad():
+        turned = joint_rotations(poses).to(device)
         for group in groups:
             index = torch.tensor(list(group), device=device)
-            rotations = joint_rotations(poses).to(device)[index]
+            rotations = turned[index]
             transforms = model.transforms(rotations, poses.transl.to(device)[index])
             middle = len(group) // 2
             dressed = model.dress(rotations[middle], frame)
@@ -292,4 +317,3 @@ def joint_rotations(poses: Poses) -> Float[Tensor, "F J 3 3"]:
 def encode(image: Float[Tensor, "*batch H W 3"], light: str) -> Float[Tensor, "*batch H W 3"]:
     """Turn averaged light into sRGB values in [0, 1]."""
     return linear_to_srgb(image.clamp(0, 1)) if light == "linear" else image.clamp(0, 1)
-

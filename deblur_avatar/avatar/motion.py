@@ -1,8 +1,8 @@
 """How a body moves while the shutter is open: one trajectory module a choice.
 
-Conventions. `u` in [0, 1] is time within one exposure. A trajectory answers, for one frame, with the
-joints' unit quaternions relative to their parents and the translation at each of its S instants. F
-frames, J joints. Every frame of the clip has a row; only those that are trained move.
+Conventions. `u` in [0, 1] is time within one exposure. A trajectory answers, for one frame, with
+the joints' unit quaternions relative to their parents and the translation at each of its S
+instants. F frames, J joints. Every frame of the clip has a row; only those that are trained move.
 """
 
 from dataclasses import dataclass
@@ -12,12 +12,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from deblur_avatar.artifacts import Motion, Poses
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
     quat_to_axis_angle,
     quat_to_matrix,
     slerp,
 )
+from deblur_avatar.geometry.splines import fit_knots, spline_points, spline_quats
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,8 @@ class Trajectory(nn.Module):
                 body_pose=middle[:, 1:],
                 transl=torch.stack([frame.centre_transl for frame in frames]).cpu(),
             ),
-            parameters={name: value.detach().cpu() for name, value in self.named_parameters()},
+            # Clones: fitting works in place, and an artifact never changes.
+            parameters={name: value.cpu().clone() for name, value in self.state_dict().items()},
         )
 
 
@@ -97,9 +100,9 @@ class FrameMotion(Trajectory):
 class PairMotion(Trajectory):
     """A start and an end pose a frame, joined along the shortest arcs.
 
-    Source: Deblur-Avatar (arXiv 2501.13335) sec. III-B. Equal start and end poses are a saddle point
-    with equal gradients, so they are parted by noise: half of it forward and half back, so that the
-    middle stays the given pose (the authors' code disturbs the start alone).
+    Source: Deblur-Avatar (arXiv 2501.13335) sec. III-B. Equal start and end poses are a saddle
+    point with equal gradients, so they are parted by noise: half of it forward and half back, so
+    that the middle stays the given pose (the authors' code disturbs the start alone).
     """
 
     kind = "pair"
@@ -121,12 +124,62 @@ class PairMotion(Trajectory):
     def forward(self, frame: int) -> Instants:
         """Virtual poses between start (u = 0) and end (u = 1)."""
         u = torch.cat([self.u, self.u.new_tensor([0.5])])
-        quats = slerp(
-            axis_angle_to_quat(self.start[frame]), axis_angle_to_quat(self.end[frame]), u
-        )
+        quats = slerp(axis_angle_to_quat(self.start[frame]), axis_angle_to_quat(self.end[frame]), u)
         start, end = self.start_transl[frame], self.end_transl[frame]
         transl = start + u[:, None] * (end - start)
         return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
+
+
+class ClipMotion(Trajectory):
+    """One smooth trajectory for the whole clip, of which every exposure is a piece.
+
+    Neighbouring frames say which way a limb moves, exposures may overlap or leave gaps, and frames
+    that were never fitted lie on the curve too. Knots start as the smoothest curve near the given
+    poses.
+
+    Source: design of this project, after continuous-time trajectories (BAD-Gaussians; Casual3DHDR).
+    """
+
+    kind = "clip"
+
+    def __init__(
+        self,
+        poses: Poses,
+        u: Tensor,
+        timestamps: Tensor,
+        exposure: float,
+        knot_spacing: float,
+        smoothness: float,
+    ) -> None:
+        super().__init__()
+        self.register_buffer("u", u, persistent=False)
+        first = float(timestamps[0]) - exposure / 2
+        last = float(timestamps[-1]) + exposure / 2
+        count = max(round((last - first) / knot_spacing) + 1, 2)
+        spacing = (last - first) / (count - 1)
+        inside = torch.cat([u, u.new_tensor([0.5])])
+        times = timestamps[:, None] + (inside - 0.5) * exposure
+        self.register_buffer("times", (times - first) / spacing, persistent=False)
+        middle = (timestamps - first) / spacing
+        quats = _continuous(axis_angle_to_quat(_axis_angle(poses)))
+        smooth = fit_knots(quats.flatten(1), middle, count, smoothness).unflatten(1, (-1, 4))
+        self.axis_angle = nn.Parameter(
+            quat_to_axis_angle(nn.functional.normalize(smooth, dim=-1))
+        )
+        self.transl = nn.Parameter(fit_knots(poses.transl, middle, count, smoothness))
+
+    def forward(self, frame: int) -> Instants:
+        """The piece of the trajectory that one exposure sees."""
+        quats = spline_quats(axis_angle_to_quat(self.axis_angle), self.times[frame])
+        transl = spline_points(self.transl, self.times[frame])
+        return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
+
+
+def _continuous(quats: Float[Tensor, "F J 4"]) -> Float[Tensor, "F J 4"]:
+    """Choose, of the two quaternions of each rotation, the one nearer to the frame before."""
+    flips = torch.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)
+    signs = torch.cat([torch.ones_like(flips[:1]), flips]).cumprod(0)
+    return quats * signs[..., None]
 
 
 def instants(count: int, quadrature: str) -> Float[Tensor, " S"]:
@@ -143,12 +196,18 @@ def instants(count: int, quadrature: str) -> Float[Tensor, " S"]:
 
 
 def trajectory_from_artifact(motion: Motion) -> Trajectory:
-    """Rebuild the trajectory that a stage saved."""
+    """Rebuild the trajectory that a stage saved.
+
+    Raises:
+        ArtifactError: if it is of a kind that this version does not know.
+    """
     if motion.kind == "pair":
         generator = torch.Generator()
-        trajectory: Trajectory = PairMotion(motion.centre, motion.u, 0.0, generator)
-    else:
+        trajectory = PairMotion(motion.centre, motion.u, 0.0, generator)
+    elif motion.kind in ("frame", "fixed"):
         trajectory = FrameMotion(motion.centre, refined=motion.kind == "frame")
+    else:
+        raise ArtifactError(f"no motion of kind {motion.kind!r} is known; run `dvc repro`")
     with torch.no_grad():
         for name, value in motion.parameters.items():
             getattr(trajectory, name).copy_(value)

@@ -23,9 +23,7 @@ class ConditionedMLP(nn.Module):
         super().__init__()
         sizes = [inputs + condition, *hidden]
         self._inputs = inputs
-        self.layers = nn.ModuleList(
-            nn.Linear(a, b) for a, b in zip(sizes, sizes[1:], strict=False)
-        )
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, sizes[1:], strict=False))
         self.last = nn.Linear(sizes[-1], outputs)
 
     def forward(
@@ -33,7 +31,8 @@ class ConditionedMLP(nn.Module):
     ) -> Float[Tensor, "P O"]:
         """Evaluate at every point."""
         first = self.layers[0]
-        bias = first.bias
+        assert isinstance(first, nn.Linear)
+        bias: Tensor = first.bias
         if condition is not None:
             bias = bias + first.weight[:, self._inputs :] @ condition
         value = torch.addmm(bias, points, first.weight[:, : self._inputs].T)

@@ -20,8 +20,10 @@ class PoseEncoder(nn.Module):
 
     Source: 3DGS-Avatar's hierarchical encoder (after LEAP): each joint's small network sees its
     rotation, rest position, bone length and its parent's code. Networks of joints of equal depth
-    are evaluated together.
+    are evaluated together, and codes are in that order: level by level.
     """
+
+    rest: Tensor
 
     def __init__(self, body: Body, betas: Tensor) -> None:
         super().__init__()
@@ -32,13 +34,13 @@ class PoseEncoder(nn.Module):
         centre = vertices.mean(0)
         low, high = (vertices - centre).min(), (vertices - centre).max()
         padding = JOINT_PADDING * (high - low)
-        normal = ((joints - centre - low + padding) / (high - low) / (1 + 2 * JOINT_PADDING)) * 2 - 1
+        extent = (high - low) * (1 + 2 * JOINT_PADDING)
+        normal = (joints - centre - low + padding) / extent * 2 - 1
         above = [max(parent, 0) for parent in body.parents]
         lengths = (joints - joints[above]).norm(dim=-1)
         lengths[0] = joints[0].norm()
         self.register_buffer("rest", torch.cat([normal, lengths[:, None]], -1), persistent=False)
         self._levels = _levels(body.parents)
-        self._order = [joint for members in self._levels for joint in members]
         self._parents = body.parents
         inputs = 9 + 3 + 1 + JOINT_FEATURES
         self.overall = nn.Linear(count * 12, JOINT_FEATURES)
@@ -73,6 +75,6 @@ def _levels(parents: tuple[int, ...]) -> list[list[int]]:
 
 
 def _uniform(*shape: int, fan_in: int | None = None) -> Tensor:
-    """torch's default initialisation of a linear layer, for stacks of layers."""
+    """PyTorch's default initialisation of a linear layer, for stacks of layers."""
     bound = (shape[-2] if fan_in is None else fan_in) ** -0.5
     return torch.empty(*shape).uniform_(-bound, bound)

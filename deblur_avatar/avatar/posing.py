@@ -3,8 +3,8 @@
 Conventions. A Gaussian's *spread* is its rotation times its scales; its covariance is spread
 spread^T, its upper triangle xx, xy, xz, yy, yz, zz. Transforms go from canonical to posed.
 
-Float32 tensors on the CPU are posed by a native kernel: in plain torch this step costs several times
-the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
+Float32 tensors on the CPU are posed by a native kernel: in plain torch this step costs several
+times the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
 """
 
 import ctypes

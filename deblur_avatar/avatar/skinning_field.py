@@ -26,9 +26,14 @@ class SkinningField(nn.Module):
     Source: 3DGS-Avatar's skinning network (4 layers of 128) with ARAH's hierarchical softmax.
     """
 
+    paths: Tensor
+    leaves: Tensor
+    passed: Tensor
+
     def __init__(self, parents: tuple[int, ...], hidden: Sequence[int]) -> None:
         super().__init__()
-        children = [[j for j, p in enumerate(parents) if p == joint] for joint in range(len(parents))]
+        count = len(parents)
+        children = [[j for j, p in enumerate(parents) if p == joint] for joint in range(count)]
         inner = [joint for joint, below in enumerate(children) if below]
         # One logit a child for how a joint's outgoing mass is shared, one a parent for how much.
         self._shares = [below for below in children if below]
@@ -36,10 +41,10 @@ class SkinningField(nn.Module):
         self._shared = [child for below in self._shares for child in below]
         self.network = ConditionedMLP(3, 0, hidden, len(self._shared) + len(inner))
         # log w_j = log keep_j + sum over the edges on the path from the root of log pass.
-        paths = torch.zeros(len(self._shared), len(parents))
-        leaves = torch.zeros(len(inner), len(parents))
-        passed = torch.zeros(len(inner), len(parents))
-        for joint in range(len(parents)):
+        paths = torch.zeros(len(self._shared), count)
+        leaves = torch.zeros(len(inner), count)
+        passed = torch.zeros(len(inner), count)
+        for joint in range(count):
             if joint in inner:
                 leaves[inner.index(joint), joint] = 1
             node = joint

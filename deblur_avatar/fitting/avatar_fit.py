@@ -1,7 +1,7 @@
 """The optimisation of an avatar and its motion against one camera's frames.
 
-Conventions. Iterations count from 1 over all three stages of a run. Settings that say when something
-starts count in the paper's 15,000 iterations and are scaled to the schedule.
+Conventions. Iterations count from 1 over all three stages of a run. Settings that say when
+something starts count in the paper's 15,000 iterations and are scaled to the schedule.
 """
 
 import logging
@@ -15,13 +15,10 @@ from torch import Tensor
 
 from deblur_avatar.artifacts import Checkpoint, Observations
 from deblur_avatar.avatar.gaussians import neighbour_indices, sample_surface
-from deblur_avatar.avatar.model import (
-    AvatarModel,
-    Dressed,
-    encode,
-)
+from deblur_avatar.avatar.model import AvatarModel, Dressed, encode
 from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import ScheduleParams, StartParams
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import losses
 from deblur_avatar.fitting.densify import Densifier
 from deblur_avatar.fitting.fusion_network import FusionNetwork
@@ -52,7 +49,11 @@ class Target:
 
 
 class AvatarFit:
-    """All unknowns, their optimisers, and one step of gradient descent."""
+    """All unknowns, their optimisers, and one step of gradient descent.
+
+    Raises:
+        ArtifactError: if no training frame shows a person.
+    """
 
     def __init__(
         self,
@@ -77,6 +78,8 @@ class AvatarFit:
             for index in observations.train
             if observations.weights[index] > 0
         }
+        if not self._targets:
+            raise ArtifactError("no training frame shows a person; check masks and weights")
         self._queue: list[int] = []
         self._neighbours: Tensor | None = None
         self._gaussian_optimiser = _gaussian_optimiser(model, params)
@@ -100,9 +103,7 @@ class AvatarFit:
             optimiser.step()
             decay.step()
 
-    def run(
-        self, first: int, last: int, supervision: str, mask: str, report: Report
-    ) -> float:
+    def run(self, first: int, last: int, supervision: str, mask: str, report: Report) -> float:
         """Optimise from iteration `first` to `last` inclusive; returns seconds spent.
 
         Args:
@@ -116,11 +117,15 @@ class AvatarFit:
         begin = time.perf_counter()
         for iteration in range(first, last + 1):
             report(iteration, self.step(iteration, supervision, mask))
+        if self._params.model.color is not None:
+            self.model.color.lend(list(self._targets))
         return time.perf_counter() - begin
 
     def step(self, iteration: int, supervision: str, mask: str) -> dict[str, float]:
         """One iteration on one random frame."""
         self._schedule_rates(iteration)
+        if iteration % NEIGHBOUR_REFRESH == 0:
+            self._look_up_again()
         index = self._next_frame()
         target = self._targets[index]
         instants = self.trajectory(index)
@@ -133,9 +138,8 @@ class AvatarFit:
         centre = transforms[0] if supervision == "sharp" else self._centre_transforms(instants)
         noise = self.model.view_noise(self._generator)
         colors = self.model.colors(dressed, centre, self._viewmat, noise)
-        whole = mask == "mean" and supervision != "fused"
         means, covars = dressed.posed(transforms)
-        drawn = self._rasterize(means, covars, colors, target, average=whole)
+        drawn = self._rasterize(means, covars, colors, target, average=mask != "union")
         image = drawn.image.mean(0)
         alpha = drawn.alpha.mean(0)
         if mask == "union":
@@ -151,22 +155,25 @@ class AvatarFit:
                 image = (1 - blend) * sharp.image[0] + blend * image
         terms = self._losses(iteration, image, alpha, target)
         middle = len(means) // 2
-        terms |= self._isotropy(iteration, means[middle], covars[middle])
+        terms |= self._isotropy(means[middle], covars[middle])
         total = torch.stack(list(terms.values())).sum()
         self._descend(iteration, total)
         self._densify(iteration, drawn, target)
         return {name: float(value.detach()) for name, value in terms.items()}
 
     def checkpoint(self, iteration: int) -> Checkpoint:
-        """What the next stage needs to go on as if nothing had happened."""
+        """What the next stage needs to go on as if nothing had happened.
+
+        Not the order of frames and the random draws: each stage has its own.
+        """
         tensors: dict[str, Tensor] = {}
         for name, optimiser in self._optimisers().items():
             for group in optimiser.param_groups:
                 memory = optimiser.state.get(group["params"][0], {})
                 for key, value in memory.items():
-                    tensors[f"{name}.{group['name']}.{key}"] = value
+                    tensors[f"{name}.{group['name']}.{key}"] = value.cpu().clone()
         for key, value in self._densifier.state().items():
-            tensors[f"densifier.{key}"] = value
+            tensors[f"densifier.{key}"] = value.cpu().clone()
         return Checkpoint(iteration=iteration, tensors=tensors)
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -176,7 +183,7 @@ class AvatarFit:
                 parameter = group["params"][0]
                 prefix = f"{name}.{group['name']}."
                 memory = {
-                    key.removeprefix(prefix): value.to(parameter.device)
+                    key.removeprefix(prefix): value.clone().to(parameter.device)
                     for key, value in checkpoint.tensors.items()
                     if key.startswith(prefix)
                 }
@@ -200,14 +207,10 @@ class AvatarFit:
             )
             noise = draw * std * (chance < POSE_NOISE_SHARE)
         deform = iteration > self._params.optimiser.nonrigid_start * self._scale
-        return self.model.dress(
-            instants.centre_rotations, index, deform=deform, pose_noise=noise
-        )
+        return self.model.dress(instants.centre_rotations, index, deform=deform, pose_noise=noise)
 
     def _centre_transforms(self, instants: Instants) -> Tensor:
-        return self.model.transforms(
-            instants.centre_rotations[None], instants.centre_transl[None]
-        )[0]
+        return self.model.transforms(instants.centre_rotations, instants.centre_transl)
 
     def _rasterize(
         self, means: Tensor, covars: Tensor, colors: Tensor, target: Target, average: bool
@@ -239,15 +242,11 @@ class AvatarFit:
             terms["skinning"] = share * self._skinning_loss(SKINNING_SAMPLES)
         return terms
 
-    def _isotropy(
-        self, iteration: int, posed_means: Tensor, posed_covars: Tensor
-    ) -> dict[str, Tensor]:
+    def _isotropy(self, posed_means: Tensor, posed_covars: Tensor) -> dict[str, Tensor]:
         weights = self._params.losses
         if weights.isotropy_means == 0 and weights.isotropy_covars == 0:
             return {}
-        count = len(self.model.gaussians)
-        stale = self._neighbours is None or len(self._neighbours) != count
-        if stale or iteration % NEIGHBOUR_REFRESH == 0:
+        if self._neighbours is None:
             self._neighbours = neighbour_indices(self.model.gaussians.means, ISOTROPY_NEIGHBOURS)
         near = self._neighbours
         canonical = self.model.gaussians.means, self.model.canonical_covariances()
@@ -293,6 +292,12 @@ class AvatarFit:
             self._densifier.edit(
                 self.model.gaussians, self._gaussian_optimiser, params, self._generator
             )
+            self._look_up_again()
+
+    def _look_up_again(self) -> None:
+        """Forget who is next to whom and where on the body, because Gaussians have moved."""
+        self._neighbours = None
+        self.model.look_up_again()
 
     def _schedule_rates(self, iteration: int) -> None:
         rates = self._params.optimiser
@@ -324,6 +329,8 @@ def _target(observations: Observations, index: int, device: torch.device) -> Tar
     image = observations.frames[index].to(device).float() / 255
     matte = observations.mattes[index].to(device).float() / 255
     rows, columns = torch.nonzero(matte > 0, as_tuple=True)
+    if len(rows) == 0:
+        raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
     height, width = matte.shape
     box = (
         max(int(columns.min()) - BOX_MARGIN, 0),
@@ -367,12 +374,8 @@ def _network_optimiser(
         for name, value in model.named_parameters():
             if name.startswith(f"{prefix}."):
                 decay = rates.latent_decay if "latents" in name else 0.0
-                groups.append(
-                    {
-                        "params": [value], "lr": rate, "weight_decay": decay,
-                        "name": f"network.{name}",
-                    }  # fmt: skip
-                )
+                named = {"name": f"network.{name}", "weight_decay": decay}
+                groups.append({"params": [value], "lr": rate} | named)
     for name, value in trajectory.named_parameters():
         if value.requires_grad:
             groups.append({"params": [value], "lr": rates.poses, "name": f"motion.{name}"})

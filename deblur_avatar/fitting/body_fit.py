@@ -1,8 +1,8 @@
 """One shape, and one pose a frame, from what several cameras see of a person.
 
 Triangulated landmarks bring the body near; their projections and the mattes' outlines then refine
-it. All frames are solved at once, so that neighbours hold each other. Terms are squared distances in
-standard deviations; those of measurements saturate, since detectors are not noisy but wrong.
+it. Motion is a spline over the clip, solved for all frames at once. Terms are squared distances in
+standard deviations; those of pictures saturate, since detectors are not noisy but wrong.
 """
 
 import logging

@@ -1,11 +1,11 @@
 """Which point of the body each landmark of the detector is.
 
-A landmark is a point of the rest pose glued to one joint, its carrier: the rest position of an anchor
-joint plus an offset. For limbs the anchor is the joint of the same name, and its carrier the
-joint's parent, which holds it wherever it turns. Detectors see joints near the skin where bodies have
-them inside, so offsets are fitted once a person, the right side mirroring the left. Of
-MediaPipe's 33 landmarks those of the eyes, the mouth and the thumbs tell nothing more and are not
-used. Metres, rest-pose axes (+X left, +Y up, +Z front).
+A landmark is a point of the rest pose glued to one joint, its carrier: the rest position of an
+anchor joint plus an offset. For limbs the anchor is the joint of the same name, and its carrier the
+joint's parent, which holds it wherever it turns. Detectors see joints near the skin where bodies
+have them inside, so offsets are fitted once a person, the right side mirroring the left. Of
+MediaPipe's 33 landmarks those of the eyes, the mouth, thumbs and little fingers tell nothing more
+and are not used. Metres, rest-pose axes (+X left, +Y up, +Z front).
 """
 
 from typing import NamedTuple

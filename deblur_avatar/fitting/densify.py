@@ -21,8 +21,9 @@ SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are (
 class Densifier:
     """Collects how strongly each Gaussian is pulled, and edits the set by it.
 
-    Source: Kerbl et al. 2023 sec. 5, with 3DGS-Avatar's thresholds and without opacity resets, which
-    under blur throw away what the average has already explained.
+    Source: Kerbl et al. 2023 sec. 5, with 3DGS-Avatar's thresholds. Without opacity resets, which
+    under blur throw away what the average has already explained; and without the limit on the size
+    in the image, which holds at one resolution only.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
@@ -78,7 +79,7 @@ def replace_gaussians(
     keep: Tensor,
     added: list[dict[str, Tensor]],
 ) -> None:
-    """Keep some Gaussians, add others, and let the optimiser's memory follow (new ones have none)."""
+    """Keep some Gaussians, add others; the optimiser's memory follows (new ones have none)."""
     for group in optimiser.param_groups:
         name = group["name"]
         if name not in dict(gaussians.named_parameters()):

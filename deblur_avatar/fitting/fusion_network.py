@@ -20,7 +20,8 @@ class FusionNetwork(nn.Module):
 
     Source: Deblur-Avatar (arXiv 2501.13335) sec. III-D: 4 hidden layers of 64 over the pose code, a
     code for the frame, a position code and colour features of the sharp render. Sizes the paper
-    does not give are those of its code (32 for the frame, 16 for the position, 32 for colour).
+    does not give are those of its code (32 for the frame, 16 for the position, 32 for colour); one
+    convolution stands in for the code's three.
     """
 
     def __init__(

@@ -64,10 +64,10 @@ def detect_with_mediapipe(frames: UInt8[Tensor, "F H W 3"]) -> Landmarks:
                 result = model.process(np.ascontiguousarray(frames[index].numpy()))
             if result.pose_landmarks is None or result.segmentation_mask is None:
                 continue
-            marks = [(m.x * width, m.y * height, m.visibility) for m in result.pose_landmarks.landmark]
-            values = torch.tensor(marks)
+            marks = result.pose_landmarks.landmark
             found[index] = True
-            points[index], visibility[index] = values[:, :2], values[:, 2]
+            points[index] = torch.tensor([(mark.x * width, mark.y * height) for mark in marks])
+            visibility[index] = torch.tensor([mark.visibility for mark in marks])
             mask = torch.from_numpy(result.segmentation_mask.copy())
             mattes[index] = (mask * 255).round().clamp(0, 255).to(torch.uint8)
     return Landmarks(found, points, visibility, mattes)

@@ -11,9 +11,7 @@ from torch import Tensor
 STRUCTURE_SCALES = 3  # each half as fine as the one before
 
 
-def photometric(
-    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
-) -> Float[Tensor, ""]:
+def photometric(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
     """Mean absolute difference."""
     return (image - target).abs().mean()
 
@@ -32,6 +30,8 @@ def structure(
     apart = (image - target)[top:bottom, left:right].permute(2, 0, 1)[None]
     total = image.new_zeros(())
     for _ in range(STRUCTURE_SCALES):
+        if min(apart.shape[-2:]) < 2:
+            break  # a box this small has no neighbours left to compare
         total = total + apart.diff(dim=-1).abs().mean() + apart.diff(dim=-2).abs().mean()
         apart = torch.nn.functional.avg_pool2d(apart, 2, ceil_mode=True)
     return total / (2 * STRUCTURE_SCALES)

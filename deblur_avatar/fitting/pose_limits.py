@@ -1,8 +1,8 @@
 """How far human joints turn, roughly.
 
-Conventions. A joint's axis-angle vector in rest-pose axes (+X left, +Y up, +Z front; T-pose) is held
-between two corners of a box, in degrees, and drawn towards its relaxed value. This is coarse:
-it is there to keep what no camera shows from becoming a contortion, not to model anatomy.
+Conventions. A joint's axis-angle vector in rest-pose axes (+X left, +Y up, +Z front; T-pose) is
+held between two corners of a box, in degrees, and drawn towards zero. This is coarse: it is there
+to keep what no camera shows from becoming a contortion, not to model anatomy.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ class _Limit(NamedTuple):
     x: Range  # for legs: + bends the knee, - lifts the thigh
     y: Range
     z: Range
-    spread: float  # degrees about the relaxed pose, where nothing else is known
+    spread: float  # degrees about zero, where nothing else is known
 
 
 _LIMITS = (

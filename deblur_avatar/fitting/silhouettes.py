@@ -1,9 +1,9 @@
 """How well a body fills the mattes of several cameras, as distances in pixels.
 
 Two distances: body points outside a matte, and points of a matte's outline that the body does not
-reach. Each alone is met by a body too thin or too stout. V views, F frames, P body points, Q outline
-points; a matte's inside is where it is half full or more. Distances live on a grid `SHRINK` times
-coarser than the pictures and are in the pictures' pixels.
+reach. Each alone is met by a body too thin or too stout. V views, F frames, P body points, Q
+outline points; a matte's inside is where it is half full or more. Distances live on a grid `SHRINK`
+times coarser than the pictures and are in the pictures' pixels.
 """
 
 from typing import NamedTuple
@@ -31,9 +31,12 @@ class Silhouettes(NamedTuple):
 
 def silhouettes(stacks: list[UInt8[Tensor, "F H W"]]) -> Silhouettes:
     """Measure the mattes of all views once, before fitting."""
-    measured = [[_measure(matte.numpy()) for matte in stack] for stack in stacks]
-    columns = [[torch.from_numpy(np.stack(part)) for part in zip(*view, strict=True)] for view in measured]
-    outside, outline, normals, shown = (torch.stack(part) for part in zip(*columns, strict=True))
+    views = []
+    for stack in stacks:
+        frames = [_measure(matte.numpy()) for matte in stack]
+        parts = zip(*frames, strict=True)
+        views.append([torch.from_numpy(np.stack(part)) for part in parts])
+    outside, outline, normals, shown = (torch.stack(part) for part in zip(*views, strict=True))
     return Silhouettes(outside, outline, normals, shown)
 
 
@@ -53,8 +56,8 @@ def _measure(
     points = np.concatenate(pieces)
     chosen = points[np.linspace(0, len(points) - 1, OUTLINE_POINTS).round().astype(int)]
     smooth = cv2.GaussianBlur(matte.astype(np.float32), (0, 0), SHRINK)
-    gradient = [-cv2.Sobel(smooth, cv2.CV_32F, *axis)[chosen[:, 1], chosen[:, 0]] for axis in ((1, 0), (0, 1))]
-    normals = np.stack(gradient, -1)
+    slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1))]
+    normals = -np.stack([slope[chosen[:, 1], chosen[:, 0]] for slope in slopes], axis=-1)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
     return outside.astype(np.float32), chosen.astype(np.float32) + 0.5, normals, np.array(True)
 
@@ -76,6 +79,4 @@ def nearest_points(
     outline: Float[Tensor, "F Q 2"], pixels: Float[Tensor, "F P 2"]
 ) -> Int64[Tensor, "F Q"]:
     """Which projected point is nearest to each outline point of one view."""
-    return torch.stack(
-        [torch.cdist(a, b).argmin(-1) for a, b in zip(outline, pixels, strict=True)]
-    )
+    return torch.stack([torch.cdist(a, b).argmin(-1) for a, b in zip(outline, pixels, strict=True)])

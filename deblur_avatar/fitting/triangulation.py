@@ -35,8 +35,8 @@ def triangulate(
 ) -> Triangulated:
     """Find the point that explains most views, then refine it on the views that agree.
 
-    Every pair of views proposes a point; the one with the smallest truncated error over all views is
-    kept, and solved again by least squares over the views within `tolerance` pixels of it.
+    Every pair of views proposes a point; the one with the smallest truncated error over all views
+    is kept, and solved again by least squares over the views within `tolerance` pixels of it.
 
     Raises:
         ValueError: for fewer than two views.

@@ -23,6 +23,7 @@ STILL = 1.0  # pixels a frame; less is not worth warping
 AGREEMENT = 1.0  # pixels by which two motions differ when one of them is believed 1/e as much
 DOUBT = 0.1  # belief that is left to a frame whose flow says otherwise
 MINIMUM_COVER = 0.1  # pixels' worth of cast motion below which a pixel counts as still
+SMALL_PICTURE = 512 * 512  # pixels; below, the flow's finest level is worth its time (0.4 dB)
 SMALLEST_SIDE = 64  # pixels; less has no room for the flow's pyramid and is padded
 MARGIN = 4  # pixels around what moves
 
@@ -102,6 +103,8 @@ def _search(
     if below or right:
         a, b = (cv2.copyMakeBorder(x, 0, below, 0, right, cv2.BORDER_REPLICATE) for x in (a, b))
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    if height * width < SMALL_PICTURE:
+        search.setFinestScale(0)
     # OpenCV's stubs forget that there may be no first guess.
     return search.calc(a, b, None)[:height, :width]  # type: ignore[call-overload]
 

@@ -5,7 +5,6 @@ alpha is the matte (coverage). `light` says in which space light adds up: `linea
 (as averaged by the paper). Pictures and mattes are 8 bits; the camera stands still.
 """
 
-import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -14,28 +13,27 @@ from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.exposure import Light
 
 BARE = 26  # matte, of 255: below it (10 %) a pixel is taken to show the background
-ENOUGH = 3  # frames that must show a pixel's background for their median to be trusted
+ENOUGH = 3  # frames that must show a pixel's background for it to be trusted
 
 
 def background_plate(
     frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
 ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W"]]:
-    """Estimate what a still camera sees behind the person: the median of the bare frames.
+    """Estimate what a still camera sees behind the person: the (lower) median of the bare frames.
 
     Returns:
-        The plate, and 255 where at least `ENOUGH` frames were bare (elsewhere the plate is 0).
+        The plate; and 255 where it is known: where the person is in some frame, and at least
+        `ENOUGH` frames are bare. Elsewhere the plate is 0.
     """
-    height, width = frames.shape[1:3]
-    plate = np.zeros((height, width, 3), np.uint8)
-    known = np.zeros((height, width), np.uint8)
-    for row in range(height):  # a row at a time: the stack would need four bytes a value
-        bare = (mattes[:, row] < BARE).numpy()
-        values = np.where(bare[..., None], frames[:, row].numpy(), np.nan).astype(np.float32)
-        enough = bare.sum(0) >= ENOUGH
-        if enough.any():
-            plate[row, enough] = np.rint(np.nanmedian(values[:, enough], axis=0))
-            known[row, enough] = 255
-    return torch.from_numpy(plate), torch.from_numpy(known)
+    bare = mattes < BARE
+    wanted = (mattes > 0).any(0) & (bare.sum(0) >= ENOUGH)
+    bare = bare[:, wanted]
+    # Sorted behind all others, what is not bare does not move the median of the rest.
+    values = torch.where(bare[..., None], frames[:, wanted], 255).sort(dim=0).values
+    middle = ((bare.sum(0) - 1) // 2)[None, :, None].expand(1, -1, 3)
+    plate = torch.zeros_like(frames[0])
+    plate[wanted] = values.gather(0, middle)[0]
+    return plate, wanted.to(torch.uint8) * 255
 
 
 def lift_person(

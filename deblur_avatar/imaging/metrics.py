@@ -40,16 +40,20 @@ def psnr(render: Images, truth: Images, mask: Masks | None = None) -> Scores:
     return -10 * masked_mean(error, mask).log10()
 
 
-def ssim(render: Images, truth: Images) -> Scores:
+def ssim(render: Images, truth: Images, mask: Masks | None = None) -> Scores:
     """Structural similarity: data range 1, Gaussian window 11 x 11 of sigma 1.5.
 
-    Mean over channels and over pixels whose window lies inside the picture (Wang et al. 2004).
+    Mean over channels and over pixels whose window lies inside the picture (Wang et al. 2004); of
+    these, over those of `mask` where one is given (their windows may reach out of it).
     """
     if min(render.shape[1:3]) < GAUSSIAN_SIZE:
         return _not_measured(render)
     window = _gaussian_window()
     similarity, _ = _similarity(_planes(render), _planes(truth), window, 1.0, 1.0)
-    return similarity.flatten(1).mean(1)
+    if mask is None:
+        return similarity.flatten(1).mean(1)
+    edge = GAUSSIAN_SIZE // 2
+    return masked_mean(similarity.mean(1), mask[:, edge:-edge, edge:-edge])
 
 
 def ssim_range2(render: Images, truth: Images) -> Scores:

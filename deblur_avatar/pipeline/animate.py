@@ -4,20 +4,24 @@ import dataclasses
 import logging
 from collections.abc import Callable, Iterable
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from deblur_avatar.artifacts import Avatar, Observations, Poses
+from deblur_avatar.artifacts import Avatar, Observations
 from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.avatar.model import AvatarModel, draw
 from deblur_avatar.avatar.placement import framed_intrinsics, place
 from deblur_avatar.config import AnimationParams, expand_environment
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.sources.motion_files import read_motion
 
 logger = logging.getLogger(__name__)
 
+SHEET_FRAMES, SHEET_COLUMNS, SHEET_SIDE = 12, 6, 256  # pictures, pictures a row, pixels of each
 FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
 
 
@@ -59,7 +63,7 @@ def animate(
     )
     try:
         poses = place(motion, body, filmed, viewmat, turns=params.turns, travel=params.travel)
-        chosen = pick(poses, range(0, len(poses.transl), -(-len(poses.transl) // FRAMING_POSES)))
+        chosen = poses.at(range(0, len(poses.transl), -(-len(poses.transl) // FRAMING_POSES)))
         points = posed_vertices(
             body, chosen.betas, chosen.global_orient, chosen.body_pose, chosen.transl
         )
@@ -72,18 +76,18 @@ def animate(
     model = AvatarModel.from_artifact(avatar, body, device)
     size = params.image_size
     frames = [
-        draw(model, pick(poses, [index]), K.to(device), viewmat.to(device), size, size)[0][0]
+        draw(model, poses.at([index]), K.to(device), viewmat.to(device), size, size)[0][0]
         for index in progress(range(len(poses.transl)), "animate")
     ]
     return (torch.stack(frames).cpu() * 255).round().to(torch.uint8)
 
 
-def pick(poses: Poses, frames: Iterable[int]) -> Poses:
-    """Some frames of a motion."""
-    index = torch.tensor(list(frames))
-    return Poses(
-        betas=poses.betas,
-        global_orient=poses.global_orient[index],
-        body_pose=poses.body_pose[index],
-        transl=poses.transl[index],
-    )
+def sheet_of(frames: UInt8[Tensor, "F H W 3"], fps: float) -> UInt8[np.ndarray, "_ _ 3"]:
+    """Some frames from the first to the last in one picture, each with its time."""
+    count = min(SHEET_FRAMES, len(frames))
+    chosen = np.linspace(0, len(frames) - 1, count).round().astype(int)
+    side = min(SHEET_SIDE, frames.shape[1])
+    pictures = [
+        cv2.resize(frames[i].numpy(), (side, side), None, 0, 0, cv2.INTER_AREA) for i in chosen
+    ]
+    return contact_sheet(pictures, SHEET_COLUMNS, [f"{index / fps:.2f} s" for index in chosen])

@@ -19,7 +19,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import BlurryClip, Clip, Poses
+from deblur_avatar.artifacts import BlurryClip, Clip
 from deblur_avatar.config import BlurParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging import metrics
@@ -75,8 +75,8 @@ def blur(clip: Clip, params: BlurParams) -> tuple[BlurryClip, dict[str, Any]]:
         exposure=exposure,
         light=params.light,
         held_out_from=_position(kept, clip.held_out_from),
-        initial=_poses_at(clip.initial, chosen),
-        exact=_poses_at(clip.exact, chosen),
+        initial=None if clip.initial is None else clip.initial.at(chosen),
+        exact=None if clip.exact is None else clip.exact.at(chosen),
     )
     return blurry, _measure(clip, blurry, params, kept)
 
@@ -109,17 +109,6 @@ def _kept_frames(clip: Clip, params: BlurParams) -> range:
 def _position(kept: range, frame: int) -> int:
     """Where in `kept` the first frame at or after `frame` is; its length if there is none."""
     return min(max(frame - kept.start, 0), len(kept))
-
-
-def _poses_at(poses: Poses | None, chosen: slice) -> Poses | None:
-    if poses is None:
-        return None
-    return Poses(
-        betas=poses.betas,
-        global_orient=poses.global_orient[chosen],
-        body_pose=poses.body_pose[chosen],
-        transl=poses.transl[chosen],
-    )
 
 
 def _passed_through(clip: Clip) -> BlurryClip:

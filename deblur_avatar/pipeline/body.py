@@ -1,21 +1,21 @@
 """Which body a person has: the stage `body`."""
 
-import os
 from pathlib import Path
 
 from deblur_avatar.artifacts import Body
 from deblur_avatar.avatar.anny_body import bake_anny
 from deblur_avatar.avatar.smpl_files import read_smpl
-from deblur_avatar.config import AnnyBodyParams, SmplBodyParams
-from deblur_avatar.errors import ConfigError
+from deblur_avatar.config import AnnyBodyParams, SmplBodyParams, expand_environment
 
 
 def build_body(params: AnnyBodyParams | SmplBodyParams) -> Body:
     """Bake the default body, or read a licensed one from its file.
 
     Raises:
-        ConfigError: if the file is missing or its name holds a variable that is not set.
+        ConfigError: if the file is missing, its name holds a variable that is not set, or it has
+            fewer shape directions than asked for.
+        ArtifactError: if the file is damaged or holds another model.
     """
     if isinstance(params, AnnyBodyParams):
         return bake_anny(params.shape_components)
-    return read_smpl(Path(os.path.expandvars(params.file)), params.shape_components)
+    return read_smpl(Path(expand_environment(params.file, "bodies: file")), params.shape_components)

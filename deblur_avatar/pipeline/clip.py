@@ -4,23 +4,30 @@ import torch
 
 from deblur_avatar.artifacts import Body, Clip, Reference
 from deblur_avatar.config import MultiviewParams, StudioParams
+from deblur_avatar.fitting.landmarks import PersonDetector
 from deblur_avatar.sources.multiview import load_multiview
 from deblur_avatar.sources.studio.source import load_studio
 
 
 def load_clip(
-    params: StudioParams | MultiviewParams, body: Body, generator: torch.Generator
+    params: StudioParams | MultiviewParams,
+    body: Body,
+    *,
+    detect: PersonDetector,
+    generator: torch.Generator,
 ) -> tuple[Clip, Reference]:
     """Film or read one scene.
 
     Args:
         params: the scene's `clip` section; its class says which source.
-        body: worn by a synthetic person; a real one has her own.
+        body: a synthetic person's; a real one has her own.
+        detect: finds a real person's mattes on the sharp test views.
         generator: for what a source draws at random.
 
     Raises:
         ConfigError: for parameters that fit no footage, or footage that is not there.
+        ArtifactError: for footage that cannot be read.
     """
     if isinstance(params, StudioParams):
         return load_studio(params, body, generator)
-    return load_multiview(params)
+    return load_multiview(params, lambda frames: detect(frames).mattes)

@@ -19,6 +19,7 @@ from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.config import PreprocessParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting.body_fit import fit_body
+from deblur_avatar.fitting.fit_quality import measure_fit
 from deblur_avatar.fitting.landmarks import Landmarks, PersonDetector
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.exposure import Light, frames_before
@@ -90,7 +91,9 @@ def preprocess(
     if params.poses == "given":
         poses = _checked(clip.initial, "initial", body)
     else:
-        poses, fit = fit_body(body, clip.cameras, clip.recorded, people)
+        fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
+        poses, stacks = fitted.poses, [person.mattes for person in people]
+        fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
 
     crops, cameras = _crops(clip.cameras, body, poses, params.margin, image_height)
     crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)

@@ -43,7 +43,7 @@ def missing_footage(params_file: Path) -> dict[str, str]:
 
 
 def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
-    """What to ask DVC for: nothing (all of it), or the last stages of the scenes that can be made."""
+    """What to ask DVC for: nothing (all of it), or the last stages of scenes that can be made."""
     if not missing:
         return []
     runs = read_yaml(params_file)["runs"]

@@ -4,8 +4,9 @@ import torch
 
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
 from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.motion import FrameMotion, PairMotion, Trajectory, instants
+from deblur_avatar.avatar.motion import ClipMotion, FrameMotion, PairMotion, Trajectory, instants
 from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
 
 
@@ -42,9 +43,24 @@ def fit_trajectory(
 def new_trajectory(
     observations: Observations, params: TrajectoryParams, generator: torch.Generator
 ) -> Trajectory:
-    """The unknown motion, as far as it is known before fitting."""
+    """The unknown motion, as far as it is known before fitting.
+
+    Raises:
+        ConfigError: if one trajectory for the clip is asked for and its exposure is unknown.
+    """
     poses = observations.poses
     if params.motion == "pair":
         u = instants(params.virtual_poses, params.quadrature)
         return PairMotion(poses, u, params.start_noise, generator)
+    if params.motion == "clip":
+        if observations.exposure is None:
+            raise ConfigError(
+                "motion: clip needs to know how long the shutter was open; the clip does not say"
+            )
+        frame = float(observations.timestamps.diff().median())
+        u = instants(params.virtual_poses, params.quadrature)
+        return ClipMotion(
+            poses, u, observations.timestamps, observations.exposure,
+            params.knot_frames * frame, params.smoothness,
+        )  # fmt: skip
     return FrameMotion(poses, refined=params.motion == "frame")

@@ -77,8 +77,8 @@ def _stacked(arrays: list[np.ndarray]) -> torch.Tensor:
 def _read_qualisys(path: Path) -> list[_Camera]:
     """Qualisys Track Manager's XML.
 
-    Intrinsics are in 1/64 pixels. `r11`..`r33`, transposed, turn the camera's axes (+X right, +Y up,
-    -Z forward) into the world's; x, y, z is where the camera stands, millimetres.
+    Intrinsics are in 1/64 pixels. `r11`..`r33`, transposed, turn the camera's axes (+X right,
+    +Y up, -Z forward) into the world's; x, y, z is where the camera stands, millimetres.
     """
     return [_qualisys_camera(path, node) for node in ElementTree.parse(path).iter("camera")]
 

@@ -1,8 +1,8 @@
 """A real person filmed by several calibrated video cameras.
 
 Frame f of the clip is frame `frames[0] + f + frame_offsets[c]` of camera c's file. Pictures keep
-their pixels: all are scaled down by one factor, then padded on the right and below to a common size,
-which leaves intrinsics right.
+their pixels: all are scaled down by one factor, then padded on the right and below to a common
+size, which leaves intrinsics right.
 """
 
 import logging
@@ -99,7 +99,7 @@ def _check(params: MultiviewParams) -> None:
     if count < 2:
         raise ConfigError("clip.videos: test views need a second camera")
     first, stop = params.frames
-    if not 0 <= first + min(params.frame_offsets) or stop - first < 2:
+    if first + min(params.frame_offsets) < 0 or stop - first < 2:
         raise ConfigError(f"clip.frames: {first} to {stop} leave the videos or are under two")
 
 
@@ -108,8 +108,8 @@ def _check_size(video: Video, cameras: Cameras, index: int, path: Path) -> None:
     pairs = zip(video.recorded_size, wanted, strict=True)
     if any(abs(found - size) > SAME_SIZE * size for found, size in pairs):
         raise ArtifactError(
-            f"{path}: frames are {video.recorded_size}, camera {cameras.names[index]} is calibrated "
-            f"for {tuple(wanted)}; use the calibration of these videos"
+            f"{path}: frames are {video.recorded_size}, camera {cameras.names[index]} is "
+            f"calibrated for {tuple(wanted)}; use the calibration of these videos"
         )
 
 

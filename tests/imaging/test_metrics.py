@@ -207,11 +207,25 @@ def test_a_picture_is_scored_as_it_would_be_alone(metric):
     torch.testing.assert_close(metric(render, truth), alone)
 
 
-@pytest.mark.parametrize("metric", [metrics.psnr, metrics.flip])
+@pytest.mark.parametrize("metric", [metrics.psnr, metrics.ssim, metrics.flip])
 def test_a_full_mask_is_no_mask(metric):
     render, truth = pictures()
     full = torch.ones(render.shape[:3], dtype=torch.bool)
     torch.testing.assert_close(metric(render, truth, full), metric(render, truth))
+
+
+def test_masked_ssim_is_the_mean_of_scikit_images_map_over_the_mask():
+    render, truth = pictures()
+    mask = half_mask(truth)
+    expected = []
+    for a, b, inside in zip(render.double().numpy(), truth.double().numpy(), mask, strict=True):
+        _, similarity = structural_similarity(
+            a, b, data_range=1, channel_axis=2, gaussian_weights=True, sigma=1.5,
+            use_sample_covariance=False, full=True,
+        )  # fmt: skip
+        interior = similarity[5:-5, 5:-5].mean(-1)
+        expected.append(float(interior[inside[5:-5, 5:-5].numpy()].mean()))
+    assert metrics.ssim(render, truth, mask).tolist() == pytest.approx(expected, abs=TOLERANCE)
 
 
 def test_what_lies_outside_the_mask_does_not_count():
@@ -260,6 +274,7 @@ def test_an_empty_mask_is_not_measured():
     empty = torch.zeros(render.shape[:3], dtype=torch.bool)
     assert metrics.psnr(render, truth, empty).isnan().all()
     assert metrics.flip(render, truth, empty).isnan().all()
+    assert metrics.ssim(render, truth, empty).isnan().all()
     assert metrics.sharpness_ratio(render, truth, empty).isnan().all()
 
 

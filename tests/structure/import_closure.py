@@ -4,8 +4,8 @@
 
 The walk is static: every `import` statement counts, those inside functions too, and so does every
 package's `__init__.py` on the way. A file that is no Python module (a kernel's source, a template)
-belongs to the module that stands beside it and names it in a string. A folder of which everything is
-needed is listed as the folder, so that dvc.lock stays short.
+belongs to the module that stands beside it and names it in a string. A folder of which everything
+is needed is listed as the folder, so that dvc.lock stays short.
 """
 
 import argparse
@@ -125,12 +125,10 @@ def _module_files(name: str, root: Path) -> Iterator[Path]:
 
 
 def _named_beside(tree: ast.AST, path: Path) -> Iterator[Path]:
+    names = {path.name for path in path.parent.iterdir() if path.is_file() and path.suffix != ".py"}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
-            beside = path.parent / node.value
-            if "\n" not in node.value and len(node.value) < 100 and beside.suffix != ".py":
-                if beside.is_file():
-                    yield beside
+        if isinstance(node, ast.Constant) and node.value in names:
+            yield path.parent / str(node.value)
 
 
 def _collapsed(files: set[Path], folder: Path) -> set[Path]:

@@ -222,7 +222,7 @@ inline Many all(vf x) {
   return each([&](int) { return x; });
 }
 
-// 2^p for p in [-126, 127]. Degree 5 on [-1, 0], minimax with p(0) = 1: relative error 8.4e-8.
+// 2^p for p in [-126, 127]; anything for others. Degree 5 on [-1, 0], minimax with p(0) = 1: relative error 8.4e-8.
 inline Many exp2(const Many& p) {
   vi n[M];
   for (int i = 0; i < M; ++i) n[i] = to_int(p[i]);  // towards zero
@@ -586,7 +586,7 @@ struct Grid {
 
 // Copy the records of up to SEGMENT pairs next to each other.
 inline void copy_records(const Record* records, const int32_t* numbers, int n, Record* to) {
-  constexpr int AHEAD = 8;
+  constexpr int AHEAD = 32;
   for (int j = 0; j < n; ++j) {
     __builtin_prefetch(records + numbers[std::min(j + AHEAD, n - 1)]);
     to[j] = records[numbers[j]];
@@ -665,7 +665,7 @@ inline bool composite_block(const Record* records, Visits* visits, int groups, i
   int32_t list[SEGMENT + M];
   const int count = list_visits(visits, groups, block, list);
   State<V> s = out;
-  const vf least = splat(LOG2_MIN_ALPHA);
+  const vf least = splat(LOG2_MIN_ALPHA), most = splat(MAX_ALPHA);
   int at = 0;
   while (at < count) {
     const Record* r[M];
@@ -677,17 +677,17 @@ inline bool composite_block(const Record* records, Visits* visits, int groups, i
     slope = each([&](int i) { return r[i]->b * dy[i] + slope[i]; });
     power = each([&](int i) { return power[i] * dy[i] + r[i]->logo; });
     power = slope * dx + power;
-    Many alpha = exp2(each([&](int i) { return max(power[i], least); }));
-    alpha = each([&](int i) { return only(power[i] >= least, min(alpha[i], splat(MAX_ALPHA))); });
+    Many alpha = exp2(power);
+    alpha = each([&](int i) { return only(power[i] >= least, min(alpha[i], most)); });
     const Many kept = each([&](int i) { return 1.0f - alpha[i]; });
     vf through[M + 1];
     through[0] = s.through;
     for (int i = 0; i < M; ++i) through[i + 1] = through[i] * kept[i];
-    const Many weight = each(
-        [&](int i) { return only(through[i + 1] > MIN_TRANSMITTANCE, alpha[i] * through[i]); });
     for (int i = 0; i < M; ++i) {
-      for (int v = 0; v < V; ++v) s.seen[v] += weight[i] * r[i]->value[v];
-      s.last = through[i + 1] > MIN_TRANSMITTANCE ? through[i + 1] : s.last;
+      const vi alive = through[i + 1] > MIN_TRANSMITTANCE;
+      const vf weight = only(alive, alpha[i] * through[i]);
+      for (int v = 0; v < V; ++v) s.seen[v] += weight * r[i]->value[v];
+      s.last = alive ? through[i + 1] : s.last;
     }
     s.through = through[M];
     at += M;
@@ -834,6 +834,7 @@ constexpr int SLOT = (SV + V + 2 + 3) / 4 * 4;
 
 // What L visits of one block found, before the sums over its pixels.
 struct Batch {
+  vf alpha[L], slope_x[L], slope_y[L];
   vf g[L], weight[L], pull[L];
   alignas(64) float x[L], y[L];
 };
@@ -894,52 +895,59 @@ inline void differentiate_block(const Record* records, const Visits* visits, int
   int32_t list[SEGMENT + M];
   const int count = list_visits(visits, groups, block, list);
   Batch batch;
-  vf rest = rest_, before = through_, grad[V];
-  for (int v = 0; v < V; ++v) grad[v] = value_grad[v];
-  const vf least = splat(LOG2_MIN_ALPHA);
-  for (int at = 0; at < count; at += M) {
-    const Record* r[M];
-    for (int i = 0; i < M; ++i) r[i] = records + list[at + i];
-    const Many dx = each([&](int i) { return px - r[i]->x; });
-    const Many dy = each([&](int i) { return py - r[i]->y; });
-    const Many adx = each([&](int i) { return r[i]->a * dx[i]; });
-    const Many cdy = each([&](int i) { return r[i]->c * dy[i]; });
-    const Many slope = each([&](int i) { return r[i]->b * dy[i] + adx[i]; });
-    Many power = each([&](int i) { return cdy[i] * dy[i] + r[i]->logo; });
-    power = slope * dx + power;
-    const Many raw = exp2(each([&](int i) { return max(power[i], least); }));
-    const Many alpha =
-        each([&](int i) { return only(power[i] >= least, min(raw[i], splat(MAX_ALPHA))); });
-    const Many kept = each([&](int i) { return 1.0f - alpha[i]; });
-    vf through[M + 1], after[M + 1];
-    through[0] = before;
-    for (int i = 0; i < M; ++i) through[i + 1] = through[i] * kept[i];
-    before = through[M];
-    const Many weight = each(
-        [&](int i) { return only(through[i + 1] > MIN_TRANSMITTANCE, alpha[i] * through[i]); });
-    Many gain = each([&](int i) { return grad[0] * r[i]->value[0]; });
-    for (int v = 1; v < V; ++v)
-      gain = each([&](int i) { return grad[v] * r[i]->value[v] + gain[i]; });
-    after[0] = rest;
-    for (int i = 0; i < M; ++i) after[i + 1] = after[i] - weight[i] * gain[i];
-    rest = after[M];
-    const Many behind = each([&](int i) { return after[i + 1] / kept[i]; });
-    const Many moment = each([&](int i) {
-      const vf alpha_grad = through[i] * gain[i] - behind[i];
-      const vi counts = (through[i + 1] > MIN_TRANSMITTANCE) & (raw[i] <= MAX_ALPHA);
-      return only(counts, alpha[i] * alpha_grad);
-    });
-    const int k = at % L;
-    for (int i = 0; i < M; ++i) {
-      batch.g[k + i] = moment[i];
-      batch.weight[k + i] = weight[i];
-      batch.x[k + i] = r[i]->x, batch.y[k + i] = r[i]->y;
-      const vf x = abs(moment[i] * (slope[i] + adx[i]));
-      const vf y = abs(moment[i] * (r[i]->b * dx[i] + (cdy[i] + cdy[i])));
-      batch.pull[k + i] = join_first(x, y) + join_last(x, y);
+  vf rest = rest_, before = through_;
+  const vf least = splat(LOG2_MIN_ALPHA), most = splat(MAX_ALPHA);
+  for (int at = 0; at < count; at += L) {
+    const int n = std::min(L, count - at);
+    for (int k = 0; k < n; k += M) {  // what does not depend on the visits before
+      const Record* r[M];
+      for (int i = 0; i < M; ++i) r[i] = records + list[at + k + i];
+      const Many dx = each([&](int i) { return px - r[i]->x; });
+      const Many dy = each([&](int i) { return py - r[i]->y; });
+      const Many adx = each([&](int i) { return r[i]->a * dx[i]; });
+      const Many cdy = each([&](int i) { return r[i]->c * dy[i]; });
+      const Many slope = each([&](int i) { return r[i]->b * dy[i] + adx[i]; });
+      for (int i = 0; i < M; ++i) {
+        batch.x[k + i] = r[i]->x, batch.y[k + i] = r[i]->y;
+        batch.slope_x[k + i] = slope[i] + adx[i];
+        batch.slope_y[k + i] = r[i]->b * dx[i] + (cdy[i] + cdy[i]);
+      }
+      Many power = each([&](int i) { return cdy[i] * dy[i] + r[i]->logo; });
+      power = slope * dx + power;
+      const Many alpha = exp2(power);
+      for (int i = 0; i < M; ++i)
+        batch.alpha[k + i] = only(power[i] >= least, min(alpha[i], most));
     }
-    if (k + M == L || at + M >= count)
-      add_batch<V>(batch, list + at - k, std::min(L, count - (at - k)), value_grad, px[0], py[0], sums);
+    for (int k = 0; k < n; k += M) {
+      const Record* r[M];
+      for (int i = 0; i < M; ++i) r[i] = records + list[at + k + i];
+      const Many alpha = each([&](int i) { return batch.alpha[k + i]; });
+      const Many kept = each([&](int i) { return 1.0f - alpha[i]; });
+      vf through[M + 1], after[M + 1];
+      through[0] = before;
+      for (int i = 0; i < M; ++i) through[i + 1] = through[i] * kept[i];
+      before = through[M];
+      Many gain = each([&](int i) { return value_grad[0] * r[i]->value[0]; });
+      for (int v = 1; v < V; ++v)
+        gain = each([&](int i) { return value_grad[v] * r[i]->value[v] + gain[i]; });
+      vi alive[M];
+      for (int i = 0; i < M; ++i) alive[i] = through[i + 1] > MIN_TRANSMITTANCE;
+      const Many weight = each([&](int i) { return only(alive[i], alpha[i] * through[i]); });
+      after[0] = rest;
+      for (int i = 0; i < M; ++i) after[i + 1] = after[i] - weight[i] * gain[i];
+      rest = after[M];
+      const Many behind = each([&](int i) { return after[i + 1] / kept[i]; });
+      for (int i = 0; i < M; ++i) {
+        // No gradient through alpha where MAX_ALPHA holds it.
+        const vf alpha_grad = through[i] * gain[i] - behind[i];
+        const vf moment = only(alive[i] & (alpha[i] < most), alpha[i] * alpha_grad);
+        batch.g[k + i] = moment;
+        batch.weight[k + i] = weight[i];
+        const vf x = abs(moment * batch.slope_x[k + i]), y = abs(moment * batch.slope_y[k + i]);
+        batch.pull[k + i] = join_first(x, y) + join_last(x, y);
+      }
+    }
+    add_batch<V>(batch, list + at, n, value_grad, px[0], py[0], sums);
   }
   through_ = before, rest_ = rest;
 }

@@ -23,12 +23,12 @@ CACHE_VARIABLE: Final = "DEBLUR_AVATAR_CACHE"
 # Further compiler flags: sanitizers, other instruction sets.
 FLAGS_VARIABLE: Final = "DEBLUR_AVATAR_KERNEL_FLAGS"
 
-# What `-ffast-math` would turn on, except flushing denormal numbers to zero: gcc before 13 links
-# that in as start-up code, and it then holds for the whole process.
+# Of what `-ffast-math` turns on, the parts that let minima, comparisons and square roots become
+# single instructions. Never `-ffast-math` itself: gcc before 13 then links start-up code that
+# flushes denormal numbers to zero for the whole process.
 FLAGS: Final = (
     *("-std=c++17", "-O3", "-march=native", "-shared", "-fPIC"),
-    *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros"),
-    *("-fassociative-math", "-freciprocal-math", "-ffinite-math-only"),
+    *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-ffinite-math-only"),
 )
 OPENMP: Final = "-fopenmp"
 

@@ -1,11 +1,9 @@
-"""What the person wears, as shells over the body's surface.
+"""Dressing: from a resting body's surface to one mesh of skin, clothes, shoes and hair.
 
-Conventions. Rest pose, metres. A garment covers the part of the body where its field is positive;
-fields are distances from its hems, roughly in metres. P vertices and T triangles of the dressed
-person: what the clothes leave of the skin, and the clothes.
+Conventions. Rest pose, metres. V vertices of the body; P vertices and T triangles of what is made.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,40 +11,35 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES
-from deblur_avatar.sources.studio.landmarks import HEAD, Landmarks, find_landmarks, rise
-from deblur_avatar.sources.studio.shells import Mixture, cut, normals_of, refine, smooth
+from deblur_avatar.imaging.mesh_rendering import face_normals, unit
+from deblur_avatar.sources.studio.garments import GARMENTS, Garment, Landmarks, find_landmarks
+from deblur_avatar.sources.studio.shells import Mixture, cut, refine, smooth, vertex_normals
 
-PIECES = ("skin", "shirt", "shorts", "socks", "shoes", "hair")
+PIECES = ("skin", *(garment.piece for garment in GARMENTS), "shoes")
 HIDDEN_DEPTH = 0.03  # metres inside a hem from where on the skin below is left out
 SHOE_THICKNESS = 0.007  # metres
-Field = Callable[[Float[np.ndarray, "N 3"], Landmarks], Float[np.ndarray, " N"]]
+SHOE_TOP = 0.012  # metres below the ankle's joint
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh that is skinned with the body."""
+
+    vertices: Float[np.ndarray, "P 3"]
+    normals: Float[np.ndarray, "P 3"]
+    lbs_weights: Float[np.ndarray, "P J"]
+    looseness: Float[np.ndarray, " P"]
+    slack: Float[np.ndarray, " P"]  # metres a vertex may move inwards
+    faces: Int[np.ndarray, "T 3"]
 
 
 @dataclass(frozen=True)
 class Dressed:
     """A clothed person at rest."""
 
-    vertices: Float[np.ndarray, "P 3"]
-    normals: Float[np.ndarray, "P 3"]
-    lbs_weights: Float[np.ndarray, "P J"]
-    looseness: Float[np.ndarray, " P"]  # 0 skin or tight, 1 the loosest hem
-    slack: Float[np.ndarray, " P"]  # metres that a vertex may move inwards
-    faces: Int[np.ndarray, "T 3"]
+    surface: Surface
     pieces: Int[np.ndarray, " T"]  # index into PIECES
     landmarks: Landmarks
-
-
-@dataclass(frozen=True)
-class Garment:
-    """A shell; its distance from the body goes from `tight` to `loose` with its looseness."""
-
-    piece: str
-    field: Field
-    looseness: Field
-    tight: float
-    loose: float
-    least: float  # distance below which the cloth never sinks
-    smoothing: int
 
 
 def dress(
@@ -55,188 +48,96 @@ def dress(
     lbs_weights: Float[np.ndarray, "V J"],
     faces: Int[np.ndarray, "F 3"],
 ) -> Dressed:
-    """Put clothes, shoes and hair on a resting body."""
+    """Put clothes, shoes and hair on a resting body, which must have SMPL's joints."""
     marks = find_landmarks(vertices, joints, lbs_weights)
-    normals = normals_of(vertices, faces)
-    parts = [_skin(vertices, normals, lbs_weights, faces, marks)]
-    parts += [_shell(g, vertices, normals, lbs_weights, faces, marks) for g in GARMENTS]
-    parts += [_shoe(side, vertices, lbs_weights, marks) for side in ("left", "right")]
-    offsets = np.cumsum([0] + [len(part.vertices) for part in parts])
-    return Dressed(
+    body = _tight_surface(vertices, lbs_weights, faces)
+    parts = [("skin", _bare_skin(body, marks))]
+    parts += [(garment.piece, _shell(garment, body, marks)) for garment in GARMENTS]
+    parts += [("shoes", _shoe(side, body, marks)) for side in ("left", "right")]
+    pieces = [np.full(len(part.faces), PIECES.index(name)) for name, part in parts]
+    return Dressed(_joined([part for _, part in parts]), np.concatenate(pieces), marks)
+
+
+def _bare_skin(body: Surface, marks: Landmarks) -> Surface:
+    """What can be seen of the body: all but what lies deep under a garment, hair excepted."""
+    covers = [g.covers(body.vertices, body.lbs_weights, marks) for g in GARMENTS if not g.on_head]
+    covers.append(marks.of("left_ankle")[1] - 0.02 - body.vertices[:, 1])  # in the shoes
+    bare = cut(body.faces, HIDDEN_DEPTH - np.max(covers, axis=0))
+    return _carried(body, bare)
+
+
+def _shell(garment: Garment, body: Surface, marks: Landmarks) -> Surface:
+    """Lift the covered part off the body and smooth it, nowhere nearer than its distance."""
+    below = _carried(body, cut(body.faces, garment.covers(body.vertices, body.lbs_weights, marks)))
+    if garment.refined:
+        below = _carried(below, refine(below.faces, len(below.vertices)))
+    outward, faces = unit(below.normals), below.faces
+    looseness = garment.looseness(below.vertices, marks)
+    distance = garment.tight + (garment.loose - garment.tight) * looseness
+    shell = smooth(below.vertices + distance[:, None] * outward, faces, garment.smoothing)
+    short = distance - ((shell - below.vertices) * outward).sum(1)
+    shell += np.maximum(short, 0)[:, None] * outward
+    weights = smooth(below.lbs_weights, faces, garment.smoothing // 4)
+    return Surface(
+        vertices=shell,
+        normals=vertex_normals(shell, faces),
+        lbs_weights=weights / weights.sum(1, keepdims=True),
+        looseness=looseness,
+        slack=distance - garment.least,
+        faces=faces,
+    )
+
+
+def _shoe(side: str, body: Surface, marks: Landmarks) -> Surface:
+    """A rounded hull around the foot, which hides the toes."""
+    bones = [SMPL_JOINT_NAMES.index(f"{side}_{name}") for name in ("ankle", "foot")]
+    low = body.vertices[:, 1] < marks.of(f"{side}_ankle")[1] - SHOE_TOP
+    foot = (body.lbs_weights[:, bones].sum(1) > 0.5) & low
+    points = body.vertices[foot]
+    hull = ConvexHull(points)
+    used, index = np.unique(hull.simplices, return_inverse=True)
+    corners, faces = points[used], index.reshape(-1, 3)
+    inwards = (face_normals(corners, faces) * hull.equations[:, :3]).sum(1) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    for _ in range(2):
+        finer = refine(faces, len(corners))
+        corners, faces = finer.mix(corners), finer.faces
+    rounded = smooth(corners, faces, 4)
+    normals = vertex_normals(rounded, faces)
+    lost = np.maximum(((corners - rounded) * normals).sum(1), 0)
+    shell = rounded + (SHOE_THICKNESS + lost)[:, None] * normals
+    _, nearest = cKDTree(points).query(shell, k=min(8, len(points)))
+    return _tight_surface(shell, body.lbs_weights[foot][nearest].mean(1), faces)
+
+
+def _tight_surface(
+    vertices: Float[np.ndarray, "P 3"],
+    lbs_weights: Float[np.ndarray, "P J"],
+    faces: Int[np.ndarray, "T 3"],
+) -> Surface:
+    none = np.zeros(len(vertices))
+    return Surface(vertices, vertex_normals(vertices, faces), lbs_weights, none, none, faces)
+
+
+def _carried(surface: Surface, mixture: Mixture) -> Surface:
+    """The part of a surface that a mixture keeps; its normals are no longer quite unit."""
+    return Surface(
+        vertices=mixture.mix(surface.vertices),
+        normals=mixture.mix(surface.normals),
+        lbs_weights=mixture.mix(surface.lbs_weights),
+        looseness=mixture.mix(surface.looseness[:, None])[:, 0],
+        slack=mixture.mix(surface.slack[:, None])[:, 0],
+        faces=mixture.faces,
+    )
+
+
+def _joined(parts: Sequence[Surface]) -> Surface:
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    return Surface(
         vertices=np.concatenate([part.vertices for part in parts]),
         normals=np.concatenate([part.normals for part in parts]),
         lbs_weights=np.concatenate([part.lbs_weights for part in parts]),
         looseness=np.concatenate([part.looseness for part in parts]),
         slack=np.concatenate([part.slack for part in parts]),
-        faces=np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]),
-        pieces=np.concatenate([part.pieces for part in parts]),
-        landmarks=marks,
-    )
-
-
-def _shirt(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    neck = marks.of("neck") + (0, 0.035, 0)
-    sleeve = 0.35 * marks.of("left_shoulder")[0] + 0.65 * marks.of("left_elbow")[0]
-    collar = np.linalg.norm((points - neck) * (1, 0.9, 1), axis=1) - 0.1
-    hem = points[:, 1] - (marks.of("pelvis")[1] - 0.045)
-    ends = np.minimum(sleeve - np.abs(points[:, 0]), neck[1] + 0.02 - points[:, 1])
-    return np.minimum(np.minimum(collar, hem), ends)
-
-
-def _shirt_looseness(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    hem = rise(points[:, 1], marks.of("spine2")[1], marks.of("pelvis")[1] - 0.05)
-    sleeve = rise(
-        np.abs(points[:, 0]), marks.of("left_shoulder")[0], marks.of("left_elbow")[0] - 0.06
-    )
-    return np.maximum(hem, sleeve)
-
-
-def _shorts(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    waist = marks.of("pelvis")[1] + 0.05 - points[:, 1]
-    return np.minimum(waist, points[:, 1] - (marks.of("left_knee")[1] + 0.05))
-
-
-def _shorts_looseness(
-    points: Float[np.ndarray, "N 3"], marks: Landmarks
-) -> Float[np.ndarray, " N"]:
-    return rise(points[:, 1], marks.of("left_hip")[1], marks.of("left_knee")[1] + 0.05)
-
-
-def _socks(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    ankle = marks.of("left_ankle")[1]
-    return np.minimum(ankle + 0.16 - points[:, 1], points[:, 1] - (ankle - 0.05))
-
-
-def _hair(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    x, y, z = marks.in_head(points).T
-    line = 0.02 + 0.38 * rise(z, -0.25, 0.12) + 0.32 * rise(z, 0.1, 0.48)
-    return np.minimum(y - line - 0.02 * np.cos(9 * x), 0.485 - np.abs(x)) * marks.head_size
-
-
-def _hair_looseness(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    return rise(_hair(points, marks), 0.0, 0.05)
-
-
-def _none(points: Float[np.ndarray, "N 3"], marks: Landmarks) -> Float[np.ndarray, " N"]:
-    return np.zeros(len(points))
-
-
-GARMENTS = (
-    Garment("shirt", _shirt, _shirt_looseness, 0.015, 0.028, 0.012, 40),
-    Garment("shorts", _shorts, _shorts_looseness, 0.007, 0.024, 0.006, 30),
-    Garment("socks", _socks, _none, 0.004, 0.004, 0.003, 2),
-    Garment("hair", _hair, _hair_looseness, 0.006, 0.026, 0.005, 6),
-)
-
-
-def _skin(
-    vertices: Float[np.ndarray, "V 3"],
-    normals: Float[np.ndarray, "V 3"],
-    lbs_weights: Float[np.ndarray, "V J"],
-    faces: Int[np.ndarray, "F 3"],
-    marks: Landmarks,
-) -> Dressed:
-    """What can be seen of the body: all but what lies deep under a garment."""
-    covers = [_cover(g, vertices, lbs_weights, marks) for g in GARMENTS if g.piece != "hair"]
-    covers.append(marks.of("left_ankle")[1] - 0.02 - vertices[:, 1])  # in the shoes
-    bare = cut(faces, HIDDEN_DEPTH - np.max(covers, axis=0))
-    at = bare.mix(vertices)
-    none = np.zeros(len(at))
-    return _part(
-        "skin", at, bare.mix(normals), bare.mix(lbs_weights), none, none, bare.faces, marks
-    )
-
-
-def _shell(
-    garment: Garment,
-    vertices: Float[np.ndarray, "V 3"],
-    normals: Float[np.ndarray, "V 3"],
-    lbs_weights: Float[np.ndarray, "V J"],
-    faces: Int[np.ndarray, "F 3"],
-    marks: Landmarks,
-) -> Dressed:
-    """Lift the covered part off the body and smooth it, nowhere nearer than the cloth's distance."""
-    coarse = cut(faces, _cover(garment, vertices, lbs_weights, marks))
-    fine = refine(coarse.faces, len(coarse.first))
-
-    def carry(values: Float[np.ndarray, "V D"]) -> Float[np.ndarray, "P D"]:
-        return fine.mix(coarse.mix(values))
-
-    at, outward = carry(vertices), carry(normals)
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    looseness = garment.looseness(at, marks)
-    distance = garment.tight + (garment.loose - garment.tight) * looseness
-    shell = smooth(at + distance[:, None] * outward, fine.faces, garment.smoothing)
-    short = distance - ((shell - at) * outward).sum(1)
-    shell += np.maximum(short, 0)[:, None] * outward
-    weights = smooth(carry(lbs_weights), fine.faces, garment.smoothing // 4)
-    slack = distance - garment.least
-    return _part(
-        garment.piece, shell, normals_of(shell, fine.faces), weights, looseness, slack,
-        fine.faces, marks,
-    )  # fmt: skip
-
-
-def _cover(
-    garment: Garment,
-    vertices: Float[np.ndarray, "V 3"],
-    lbs_weights: Float[np.ndarray, "V J"],
-    marks: Landmarks,
-) -> Float[np.ndarray, " V"]:
-    on_head = lbs_weights[:, HEAD] > 0.5  # else chins wear shirts, and hands held high grow hair
-    allowed = on_head if garment.piece == "hair" else ~on_head
-    return np.where(allowed, garment.field(vertices, marks), -1.0)
-
-
-def _shoe(
-    side: str,
-    vertices: Float[np.ndarray, "V 3"],
-    lbs_weights: Float[np.ndarray, "V J"],
-    marks: Landmarks,
-) -> Dressed:
-    """A rounded hull around the foot, which hides the toes."""
-    bones = [SMPL_JOINT_NAMES.index(f"{side}_{name}") for name in ("ankle", "foot")]
-    ankle = marks.of(f"{side}_ankle")[1]
-    foot = (lbs_weights[:, bones].sum(1) > 0.5) & (vertices[:, 1] < ankle - 0.012)
-    points = vertices[foot]
-    hull = ConvexHull(points)
-    used, faces = np.unique(hull.simplices, return_inverse=True)
-    corners, faces = points[used], faces.reshape(-1, 3)
-    a, b, c = (corners[faces[:, k]] for k in range(3))
-    inwards = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
-    faces[inwards] = faces[inwards][:, ::-1]
-    for _ in range(2):
-        finer = refine(faces, len(corners))
-        corners, faces = finer.mix(corners), finer.faces
-    shell = smooth(corners, faces, 4)
-    normals = normals_of(shell, faces)
-    shell = (
-        shell
-        + normals * (SHOE_THICKNESS + np.maximum(0, ((corners - shell) * normals).sum(1)))[:, None]
-    )
-    _, nearest = cKDTree(points).query(shell, k=min(8, len(points)))
-    weights = lbs_weights[foot][nearest].mean(1)
-    none = np.zeros(len(shell))
-    return _part("shoes", shell, normals, weights, none, none, faces, marks)
-
-
-def _part(
-    piece: str,
-    vertices: Float[np.ndarray, "P 3"],
-    normals: Float[np.ndarray, "P 3"],
-    lbs_weights: Float[np.ndarray, "P J"],
-    looseness: Float[np.ndarray, " P"],
-    slack: Float[np.ndarray, " P"],
-    faces: Int[np.ndarray, "T 3"],
-    marks: Landmarks,
-) -> Dressed:
-    return Dressed(
-        vertices=vertices,
-        normals=normals,
-        lbs_weights=lbs_weights / lbs_weights.sum(1, keepdims=True),
-        looseness=looseness,
-        slack=slack,
-        faces=faces,
-        pieces=np.full(len(faces), PIECES.index(piece)),
-        landmarks=marks,
+        faces=np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)]),
     )

@@ -1,19 +1,19 @@
 """How cloth leaves the place that skinning gives it, as a smooth function of the pose.
 
-Conventions. Rest pose, metres. Two effects, both along the rest normal: loose cloth sags to where down
-is, and folds rise where a joint bends. Cloth never sinks below its slack. J joints, P vertices.
+Conventions. Rest pose, metres. Two effects, both along the rest normal: loose cloth sags to where
+down is, and folds rise where a joint bends. It never sinks below its slack. J joints, P vertices.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES
 from deblur_avatar.sources.studio.clothes import Dressed
 
-SAG = 0.03  # metres that the loosest hem moves when down turns from along it to across it
-FOLD = 0.012  # metres, the height of a fold at a joint that is bent by half a turn
+SAG = 0.05  # metres that the loosest hem moves when down turns from along it to across it
+FOLD = 0.022  # metres, the height of a fold at a joint that is bent by half a turn
 FOLD_LENGTH = 0.055  # metres from one fold to the next
 FOLD_REACH = 0.13  # metres around the joint
 CLEARANCE = 0.002  # metres over which cloth comes softly to rest on what is below
@@ -56,27 +56,26 @@ class Drape:
         lift = sag + self.folds @ bends[chosen]
         room = (lift + self.slack) / CLEARANCE
         lift = CLEARANCE * np.logaddexp(room, 0) - self.slack
-        points = self.vertices + np.where(self.sag > 0, lift, 0)[:, None] * self.normals
+        points = self.vertices + np.where(self.slack > 0, lift, 0)[:, None] * self.normals
         transforms = (self.lbs_weights @ joint_transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
         return np.einsum("pij,pj->pi", transforms[..., :3], points) + transforms[..., 3]
 
 
 def hang(dressed: Dressed) -> Drape:
-    """Prepare the cloth of a dressed person; what is not loose at all never moves."""
-    folds = []
+    """Prepare the cloth of a dressed person; what has no slack never moves."""
+    surface, folds = dressed.surface, []
     for name, direction in _BENDS.items():
-        away = dressed.vertices - dressed.landmarks.of(name)
+        away = surface.vertices - dressed.landmarks.of(name)
         aim = np.asarray(direction) / np.linalg.norm(direction)
         near = np.exp(-0.5 * (away**2).sum(1) / FOLD_REACH**2)
         # Bent by a second wave, so that folds are no straight ridges.
         phase = away @ aim / FOLD_LENGTH + 0.15 * np.sin(away @ np.roll(aim, 1) / 0.04)
         folds.append(FOLD * near * np.sin(2 * np.pi * phase))
-    cloth = dressed.slack > 0
     return Drape(
-        vertices=dressed.vertices.astype(np.float32),
-        normals=dressed.normals.astype(np.float32),
-        lbs_weights=dressed.lbs_weights.astype(np.float32),
-        sag=(SAG * np.where(cloth, 0.1 + 0.9 * dressed.looseness, 0)).astype(np.float32),
-        slack=dressed.slack.astype(np.float32),
+        vertices=surface.vertices.astype(np.float32),
+        normals=surface.normals.astype(np.float32),
+        lbs_weights=surface.lbs_weights.astype(np.float32),
+        sag=(SAG * surface.looseness).astype(np.float32),
+        slack=surface.slack.astype(np.float32),
         folds=np.stack(folds, 1).astype(np.float32),
     )

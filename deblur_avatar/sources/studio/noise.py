@@ -18,7 +18,7 @@ def correlated_noise(
     channels: int,
     generator: torch.Generator,
 ) -> Float[Tensor, "F channels"]:
-    """Draw Gaussian noise of variance 1 whose correlation over a lag of tau is exp(-tau / correlation_s).
+    """Draw Gaussian noise of variance 1 with correlation exp(-lag / correlation_s) over time.
 
     That is an Ornstein-Uhlenbeck process: it drifts slowly and jitters from frame to frame, as pose
     estimators do. A correlation time of 0 leaves independent frames.
@@ -39,7 +39,7 @@ def disturb(
     correlation_s: float,
     generator: torch.Generator,
 ) -> Moves:
-    """Turn every joint, the pelvis included, and shift the root by noise that is correlated in time.
+    """Turn every joint, the pelvis included, and shift the root by noise correlated in time.
 
     Args:
         moves: the true poses.

@@ -11,16 +11,20 @@ from torch import Tensor
 from deblur_avatar.artifacts import Body
 from deblur_avatar.avatar.body import joint_transforms, shaped_joints, shaped_vertices
 from deblur_avatar.geometry.rotations import axis_angle_to_quat
-from deblur_avatar.imaging.mesh_rendering import TexturedMesh
-from deblur_avatar.sources.studio.clothes import dress
+from deblur_avatar.imaging.mesh_rendering import TexturedMesh, cell_middles, used_cells
+from deblur_avatar.imaging.visibility import openness
+from deblur_avatar.sources.studio.clothes import Dressed, dress
 from deblur_avatar.sources.studio.drape import Drape, hang
 from deblur_avatar.sources.studio.motion import Moves
-from deblur_avatar.sources.studio.texture import paint
+from deblur_avatar.sources.studio.texture import CELLS, paint
+
+SKY_RAYS = 48  # a vertex, for the shade in its hollows
+DARKEST = 0.35  # what is left of the light at the bottom of a hollow
 
 
 @dataclass(frozen=True)
 class Person:
-    """Body, clothes and colours of one person; her pose is given anew each time."""
+    """Body, clothes and colours of one person."""
 
     body: Body
     betas: Float[Tensor, " B"]
@@ -28,7 +32,7 @@ class Person:
     drape: Drape
 
     def posed(self, moves: Moves) -> Iterator[Float32[np.ndarray, "P 3"]]:
-        """Vertices at each instant: skinned as the body, cloth hanging as the pose lets it."""
+        """Vertices at each instant: skinned with the body, the cloth as the pose lets it hang."""
         transforms = joint_transforms(
             self.body, self.betas.double(), moves.global_orient, moves.body_pose, moves.transl
         )
@@ -39,11 +43,24 @@ class Person:
 
 
 def create_person(body: Body, betas: Float[Tensor, " B"]) -> Person:
-    """Shape, dress and paint a person."""
+    """Shape, dress and paint a person; hollows are darkened once, in the rest pose."""
     dressed = dress(
         shaped_vertices(body, betas).double().numpy(),
         shaped_joints(body, betas).double().numpy(),
         body.lbs_weights.double().numpy(),
         body.faces.numpy(),
     )
-    return Person(body, betas, TexturedMesh(dressed.faces, paint(dressed)), hang(dressed))
+    albedo = paint(dressed) * _shade(dressed)[..., None]
+    return Person(
+        body, betas, TexturedMesh(dressed.surface.faces.astype(np.int32), albedo), hang(dressed)
+    )
+
+
+def _shade(dressed: Dressed) -> Float32[np.ndarray, "T R R"]:
+    """The share of light that reaches each cell, from its corners."""
+    surface, (u, v) = dressed.surface, cell_middles(CELLS)
+    light = openness(surface.vertices, surface.normals, surface.faces, SKY_RAYS)
+    a, b, c = (DARKEST + (1 - DARKEST) * light)[surface.faces].T
+    table = np.zeros((len(surface.faces), CELLS, CELLS), np.float32)
+    table[:, *used_cells(CELLS)] = a[:, None] + np.outer(b - a, u) + np.outer(c - a, v)
+    return table

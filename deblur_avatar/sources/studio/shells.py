@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix, csr_matrix, diags
 
+from deblur_avatar.imaging.mesh_rendering import face_normals, unit
+
 
 @dataclass(frozen=True)
 class Mixture:
@@ -76,7 +78,7 @@ def refine(faces: Int[np.ndarray, "T 3"], count: int) -> Mixture:
 def smooth(
     values: Float[np.ndarray, "P D"], faces: Int[np.ndarray, "T 3"], rounds: int
 ) -> Float[np.ndarray, "P D"]:
-    """Move each vertex half way to the mean of its neighbours, `rounds` times; rims stay as they are."""
+    """Move each vertex half way to the mean of its neighbours, `rounds` times; rims stay."""
     averaging, rim = neighbour_mean(faces, len(values))
     for _ in range(rounds):
         values = np.where(rim[:, None], values, 0.5 * values + 0.5 * (averaging @ values))
@@ -98,16 +100,14 @@ def neighbour_mean(
     return diags(1 / total) @ used, rim
 
 
-def normals_of(
+def vertex_normals(
     vertices: Float[np.ndarray, "P 3"], faces: Int[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "P 3"]:
-    """Unit vertex normals, triangles weighted by area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    area = np.cross(b - a, c - a)
+    """Unit normals, the mean of those of the triangles around each vertex weighted by area."""
     total = np.zeros_like(vertices)
     for corner in range(3):
-        np.add.at(total, faces[:, corner], area)
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
+        np.add.at(total, faces[:, corner], face_normals(vertices, faces))
+    return unit(total)
 
 
 def _lead_with(

@@ -1,12 +1,11 @@
 """The studio: one clothed person, one camera to train and several to test, all truth known.
 
-Conventions. World: +Y up, the floor at y = 0, metres; the person starts facing camera 0, which stands
-on +Z. There are `SUBFRAMES` sub-frames a frame; frame f is sub-frame SUBFRAMES * f. The background is
-black. Everything drawn is an instant: blur is the mean of instants.
+Conventions. World: +Y up, the floor at y = 0, metres; the person starts facing camera 0, which
+stands on +Z. There are `SUBFRAMES` sub-frames a frame; frame f is sub-frame SUBFRAMES * f. The
+background is black. Everything drawn is an instant: blur is the mean of instants.
 """
 
 import itertools
-import os
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,14 +24,9 @@ from deblur_avatar.imaging.exposure import (
     frames_before,
     frames_with_whole_window,
 )
-from deblur_avatar.imaging.mesh_rendering import (
-    Lighting,
-    Picture,
-    render_sequence,
-    seen_cells,
-    seen_pixels,
-)
-from deblur_avatar.sources.studio.cameras import place_cameras, view_of
+from deblur_avatar.imaging.mesh_rendering import Lighting, Picture, View, render
+from deblur_avatar.imaging.visibility import seen_cells, seen_pixels
+from deblur_avatar.sources.studio.cameras import place_cameras
 from deblur_avatar.sources.studio.motion import Moves, move
 from deblur_avatar.sources.studio.noise import disturb
 from deblur_avatar.sources.studio.person import Person, create_person
@@ -40,7 +34,7 @@ from deblur_avatar.sources.studio.person import Person, create_person
 SUBFRAMES = 8
 SEEN_CELLS = 3  # along a triangle's edge
 LIGHTING = Lighting(
-    ambient=0.45, sky=0.25, lamps=(((0.5, 0.6, 1.0), 0.25), ((-0.6, 0.5, -0.8), 0.2))
+    ambient=0.55, sky=0.25, lamps=(((0.5, 0.6, 1.0), 0.18), ((-0.6, 0.5, -0.8), 0.12))
 )
 BETAS = (-0.3, 0.6, -0.4, 0.5, 0.3)  # a lean person; further shape numbers are 0
 
@@ -63,7 +57,7 @@ def load_studio(
             the motion is not known.
     """
     timestamps = torch.arange(params.frames, dtype=torch.float64) / params.fps
-    held_out_from = params.frames - round(params.frames * params.held_out)
+    held_out_from = max(1, round(params.frames * (1 - params.held_out)))
     training, testing = _split(params, timestamps, held_out_from)
     betas = torch.zeros(body.shape_dirs.shape[2])
     betas[: len(BETAS)] = torch.tensor(BETAS)[: len(betas)]
@@ -152,11 +146,10 @@ def _film(
     frames: list[UInt8[np.ndarray, "H W 4"]] = []
 
     def subframes() -> Iterator[UInt8[np.ndarray, "H W 4"]]:
-        view = view_of(cameras, 0, params.samples_per_axis)
-        pictures = render_sequence(person.posed(fine), person.mesh, view, LIGHTING, workers())
-        total = len(fine.transl)
-        for index, picture in enumerate(run.progress(pictures, "filming", total)):
-            coded = encode(picture)
+        view = View.of(cameras, 0, params.samples_per_axis)
+        instants = run.progress(person.posed(fine), "filming", total=len(fine.transl))
+        for index, vertices in enumerate(instants):
+            coded = encode(render(vertices, person.mesh, view, LIGHTING))
             if index % SUBFRAMES == 0:
                 frames.append(coded)
             yield coded
@@ -184,15 +177,12 @@ def _film_tests(
 ) -> tuple[UInt8[Tensor, "V H W 4"], UInt8[Tensor, "V H W"]]:
     """Sharp views of every test camera, and which of their pixels the training camera saw."""
     faces = person.mesh.faces
-    seen = seen_cells(person.posed(_at(true, training)), faces, view_of(cameras, 0, 1), SEEN_CELLS)
+    seen = seen_cells(person.posed(_at(true, training)), faces, View.of(cameras, 0, 1), SEEN_CELLS)
     shown = list(person.posed(_at(true, testing)))
     images, masks = [], []
     for index in run.progress(range(1, params.test_cameras + 1), "filming the truth"):
-        view = view_of(cameras, index, params.samples_per_axis)
-        images += [
-            encode(picture)
-            for picture in render_sequence(shown, person.mesh, view, LIGHTING, workers())
-        ]
+        view = View.of(cameras, index, params.samples_per_axis)
+        images += [encode(render(vertices, person.mesh, view, LIGHTING)) for vertices in shown]
         masks += [seen_pixels(vertices, faces, view, seen) for vertices in shown]
     return torch.from_numpy(np.stack(images)), torch.from_numpy(np.stack(masks) * np.uint8(255))
 
@@ -202,11 +192,6 @@ def encode(picture: Picture) -> UInt8[np.ndarray, "H W 4"]:
     srgb = linear_to_srgb(torch.from_numpy(picture.light)).numpy()
     both = np.concatenate([srgb, picture.coverage[..., None]], -1)
     return np.rint(both.clip(0, 1) * 255).astype(np.uint8)
-
-
-def workers() -> int:
-    """How many threads draw."""
-    return min(4, len(os.sched_getaffinity(0)))
 
 
 def _at(moves: Moves, frames: tuple[int, ...]) -> Moves:

@@ -6,12 +6,12 @@ Conventions. Patterns are written in sRGB and handed over as linear light. Metre
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Float32
 
 from deblur_avatar.imaging.color import srgb_to_linear
-from deblur_avatar.imaging.mesh_rendering import cell_middles
+from deblur_avatar.imaging.mesh_rendering import cell_middles, used_cells
 from deblur_avatar.sources.studio.clothes import PIECES, Dressed
-from deblur_avatar.sources.studio.landmarks import Landmarks, rise
+from deblur_avatar.sources.studio.garments import Landmarks
 
 CELLS = 8  # along a triangle's edge: 1 to 3 mm, finer than a pixel of 4 mm sees
 
@@ -39,10 +39,10 @@ Places = Float[np.ndarray, "N 3"]
 
 def paint(dressed: Dressed) -> Float32[np.ndarray, "T R R 3"]:
     """Colour every cell of every triangle: linear light, R = `CELLS`."""
-    u, v = cell_middles(CELLS)
-    a, b, c = (dressed.vertices[dressed.faces[:, corner]] for corner in range(3))
+    surface, (u, v) = dressed.surface, cell_middles(CELLS)
+    a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
     places = a[:, None] + u[:, None] * (b - a)[:, None] + v[:, None] * (c - a)[:, None]
-    facing = dressed.normals[dressed.faces].mean(1)
+    facing = surface.normals[surface.faces].mean(1)
     srgb = np.zeros(places.shape)
     for index, piece in enumerate(PIECES):
         chosen = dressed.pieces == index
@@ -52,8 +52,7 @@ def paint(dressed: Dressed) -> Float32[np.ndarray, "T R R 3"]:
         srgb[chosen] = colours.reshape(-1, len(u), 3)
     linear = srgb_to_linear(torch.from_numpy(srgb.clip(0, 1))).numpy()
     table = np.zeros((len(a), CELLS, CELLS, 3), np.float32)
-    i, j = np.nonzero(np.add.outer(np.arange(CELLS), np.arange(CELLS)) < CELLS)
-    table[:, i, j] = linear
+    table[:, *used_cells(CELLS)] = linear
     return table
 
 
@@ -81,7 +80,9 @@ def _skin(places: Places, outward: Places, marks: Landmarks) -> Colours:
 
 def _shirt(places: Places, outward: Places, marks: Landmarks) -> Colours:
     x, y, z = places.T
-    colours = _stripes(x + 0.006, 0.04, WHITE, TEAL, 0.3)
+    around = 0.15 * np.arctan2(x, z - marks.of("spine2")[2])  # metres along the waist
+    colours = _stripes(around + 0.006, 0.04, WHITE, TEAL, 0.3)
+    colours[outward[:, 1] > 0.8] = WHITE
     shoulder, elbow = marks.of("left_shoulder")[0], marks.of("left_elbow")[0]
     sleeve = np.abs(x) > shoulder + 0.03
     rings = (np.abs(x) - shoulder) / (elbow - shoulder)
@@ -178,12 +179,15 @@ def _mottle(places: Places, size: float) -> Float[np.ndarray, " N"]:
 def _write(
     colours: Colours,
     text: str,
-    where: Int[np.ndarray, " N"],
+    where: Bool[np.ndarray, " N"],
     x: Float[np.ndarray, " N"],
     y: Float[np.ndarray, " N"],
     dot: float,
 ) -> None:
-    """Print red letters with a white edge, centred on x = 0 and standing on y = 0; `x` to the reader's right."""
+    """Print red letters with a white edge, standing on y = 0 and centred on x = 0.
+
+    `x` grows to the reader's right, whichever way the wearer's goes.
+    """
     columns = 6 * len(text) - 1
     edge = _dots(text, x / dot + columns / 2, y / dot, 0.55) & where
     colours[edge] = WHITE
@@ -192,7 +196,7 @@ def _write(
 
 def _dots(
     text: str, column: Float[np.ndarray, " N"], row: Float[np.ndarray, " N"], grow: float
-) -> Int[np.ndarray, " N"]:
+) -> Bool[np.ndarray, " N"]:
     """Whether each place lies on a dot of the text, dots grown by `grow` on every side."""
     grid = np.zeros((9, 6 * len(text) + 1), bool)
     for index, letter in enumerate(text):

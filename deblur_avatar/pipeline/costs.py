@@ -1,0 +1,52 @@
+"""What fitting a run cost, gathered from the measurements of its three stages."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from deblur_avatar.config import RunParams
+from deblur_avatar.errors import ArtifactError
+
+STAGES = ("warmup", "trajectory", "fusion")
+
+
+def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
+    """Read `<folder>/<stage>/<item>.json` of each fitting stage.
+
+    Args:
+        folder: where all metrics are.
+        run: whose costs; its warm-up may be shared with other methods and is counted in full.
+
+    Returns:
+        `train_s` and `<stage>_s`, wall-clock seconds, and `peak_memory_mb` of the largest stage;
+        None where a stage left no measurement.
+
+    Raises:
+        ArtifactError: if a measurement is damaged.
+    """
+    item = f"{run.scene}-{run.method}"
+    paths = {stage: folder / stage / f"{item}.json" for stage in STAGES}
+    paths["warmup"] = folder / "warmup" / f"{run.scene}-{run.observations}-{run.start}.json"
+    found = {stage: _read(path) for stage, path in paths.items()}
+    seconds = {stage: content.get("seconds") for stage, content in found.items()}
+    peaks = [content["peak_memory_mb"] for content in found.values() if content]
+    return {
+        "train_s": _sum(list(seconds.values())),
+        **{f"{stage}_s": value for stage, value in seconds.items()},
+        "peak_memory_mb": max(peaks) if peaks else None,
+    }
+
+
+def _sum(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) if len(known) == len(values) else None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text())
+        return {"seconds": content["seconds"], "peak_memory_mb": content["peak_memory_mb"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ArtifactError(f"{path} is damaged: {error}; run `dvc repro`") from error

@@ -1,0 +1,282 @@
+"""All results on one page, as one summary and as one table.
+
+Works on whatever scenes and methods there are. Equal results give equal bytes: no dates, no hosts.
+"""
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+
+from deblur_avatar import run
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.picture_files import read_picture, write_picture
+from deblur_avatar.pipeline.comparison import averaged, compared
+from deblur_avatar.pipeline.picture_strips import (
+    Picture,
+    Strip,
+    data_uri,
+    picture_uri,
+    strip_sheet,
+    strips_of_scene,
+)
+from deblur_avatar.pipeline.report_tables import NOT_KNOWN, Titled, facts_of, tables_of
+from deblur_avatar.pipeline.results_table import (
+    BOUNDS,
+    NOT_MEASURED,
+    NOVEL_VIEW,
+    Table,
+    look_up,
+    markdown,
+    plain,
+    results_table,
+)
+from deblur_avatar.pipeline.speed_accuracy import drawn, speed_accuracy
+
+logger = logging.getLogger(__name__)
+
+TEMPLATE = "report.html.jinja"
+STRIPS = 4  # of each scene on the page
+README_STRIPS = 2
+LARGEST_VIDEO = 1_500_000  # bytes; a longer one stays out of the page
+SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
+
+Results = dict[str, dict[str, Any]]  # by method
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is written to `reports/`."""
+
+    page: str
+    summary: dict[str, Any]
+    tables: str  # Markdown
+    chart: dict[str, Any]  # Vega-Lite
+    strip: Picture | None  # for the README
+    log: str  # for a terminal
+
+    def save(self, folder: Path) -> None:
+        """Write `index.html`, `summary.json`, `table.md`, `speed_accuracy.vl.json`, `strip.png`.
+
+        Raises:
+            ArtifactError: if the disk refuses.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "index.html").write_text(self.page)
+            (folder / "table.md").write_text(self.tables)
+            chart = json.dumps(self.chart, indent=1, ensure_ascii=False)
+            (folder / "speed_accuracy.vl.json").write_text(chart + "\n")
+        except OSError as error:
+            raise ArtifactError(f"cannot write {folder}: {error}") from error
+        run.write_json(folder / "summary.json", self.summary)
+        if self.strip is not None:
+            write_picture(folder / "strip.png", self.strip)
+
+
+def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
+    """Read all results and put them on one page.
+
+    Args:
+        metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`.
+        pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
+        animations: what `animate` drew, one folder a run.
+
+    Raises:
+        ArtifactError: if a file is damaged; names it.
+    """
+    scenes = {scene: compared(results) for scene, results in read_results(metrics).items()}
+    strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
+    tables = {
+        scene: tables_of(results, _read(metrics / "preprocess" / f"{scene}.json"))
+        for scene, results in scenes.items()
+    }
+    chart = speed_accuracy(scenes)
+    page = _page(
+        headline=_headline(scenes),
+        machine=_machine(scenes),
+        chart=drawn(chart) if chart["hconcat"] else "",
+        quiet=(NOT_MEASURED, NOT_KNOWN),
+        scenes=[
+            {
+                "name": scene,
+                "facts": facts_of(
+                    _read(metrics / "blur" / f"{scene}.json"),
+                    _read(metrics / "preprocess" / f"{scene}.json"),
+                ),
+                "strips": [_on_page(strip) for strip in strips[scene]],
+                "tables": tables[scene],
+                "animations": _animations(scene, results, animations),
+            }
+            for scene, results in scenes.items()
+        ],
+    )
+    main = {
+        scene: results_table(results, _readme_columns(results)) for scene, results in scenes.items()
+    }
+    return Report(
+        page=page,
+        summary=_summary(scenes),
+        tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
+        chart=chart,
+        strip=_readme_strip(strips),
+        log=_log(main, tables),
+    )
+
+
+def read_results(metrics: Path) -> dict[str, Results]:
+    """Results by scene and method: the files that say which scene and method they are of.
+
+    Raises:
+        ArtifactError: if a file is damaged.
+    """
+    scenes: dict[str, Results] = {}
+    for path in sorted(metrics.glob("*/*.json")):
+        content = _read(path)
+        if content.get("scene") == path.parent.name and content.get("method") == path.stem:
+            scenes.setdefault(path.parent.name, {})[path.stem] = content
+    # The scene with a known truth comes first: it says most.
+    return dict(sorted(scenes.items(), key=lambda item: ("ceiling" not in item[1], item[0])))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A metrics file; empty if there is none."""
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ArtifactError(f"{path} is damaged: {error}; run `dvc repro`") from None
+    if not isinstance(content, dict):
+        raise ArtifactError(f"{path} holds a {type(content).__name__}; run `dvc repro`")
+    return content
+
+
+def _summary(scenes: Mapping[str, Results]) -> dict[str, Any]:
+    methods = dict.fromkeys(method for results in scenes.values() for method in results)
+    return {
+        "methods": {
+            method: averaged([r[method] for r in scenes.values() if method in r])
+            | {"scenes": [scene for scene, r in scenes.items() if method in r]}
+            for method in methods
+        },
+        "scenes": {scene: dict(results) for scene, results in scenes.items()},
+    }
+
+
+def _strips(scene: str, results: Results, pictures: Path) -> list[Strip]:
+    folders = {method: pictures / f"{scene}-{method}" for method in results}
+    return strips_of_scene({m: f for m, f in folders.items() if f.is_dir()}, STRIPS)
+
+
+def _readme_strip(strips: Mapping[str, Sequence[Strip]]) -> Picture | None:
+    """A few strips of the first scene that has any, fast poses rather than kept ones."""
+    for found in strips.values():
+        if found:
+            return strip_sheet(found[:README_STRIPS])
+    return None
+
+
+def _readme_columns(results: Results) -> list[Any]:
+    """The columns that somebody measured."""
+    return [c for c in NOVEL_VIEW if any(look_up(r, c.path) is not None for r in results.values())]
+
+
+def _headline(scenes: Mapping[str, Results]) -> list[dict[str, str]]:
+    """For each scene the method that wins back most."""
+    figures = []
+    for scene, results in scenes.items():
+        shares = {
+            method: share
+            for method, result in results.items()
+            if method not in (*BOUNDS, "blind")
+            and (share := look_up(result, ("recovery", "psnr"))) is not None
+        }
+        if shares:
+            best = max(shares, key=lambda method: shares[method])
+            figures.append(
+                {
+                    "number": f"{shares[best]:.2f}".replace("-", "\u2212"),
+                    "caption": f"recovery of {best} on {scene}",
+                }
+            )
+        cost = _cost_of_blur(results)
+        if cost is not None:
+            figures.append({"number": f"{cost:.1f} dB", "caption": f"what blur costs on {scene}"})
+    return figures
+
+
+def _cost_of_blur(results: Results) -> float | None:
+    sharp, blurred = (
+        look_up(results.get(method, {}), ("image", "psnr")) for method in ("oracle", "blind")
+    )
+    return None if sharp is None or blurred is None else sharp - blurred
+
+
+def _machine(scenes: Mapping[str, Results]) -> str:
+    """On what and how long the results were trained, as far as all agree."""
+    runs = [result.get("run", {}) for results in scenes.values() for result in results.values()]
+    devices = sorted({str(entry["device"]) for entry in runs if "device" in entry})
+    schedules = sorted({str(entry["schedule"]) for entry in runs if "schedule" in entry})
+    words = {"cpu": "a CPU", "cuda": "a GPU"}
+    device = " and ".join(words.get(device, device) for device in devices) or "one machine"
+    return f"{device}, schedule {' and '.join(schedules)}" if schedules else device
+
+
+def _animations(scene: str, results: Results, folder: Path) -> list[dict[str, str]]:
+    shown = []
+    for method in results:
+        sheet = folder / f"{scene}-{method}" / "contact_sheet.png"
+        video = folder / f"{scene}-{method}" / "video.mp4"
+        if sheet.is_file():
+            playable = video.is_file() and video.stat().st_size <= LARGEST_VIDEO
+            shown.append(
+                {
+                    "sheet": picture_uri(_narrowed(read_picture(sheet))),
+                    "video": data_uri(video.read_bytes(), "video/mp4") if playable else "",
+                    "caption": f"{method}, driven by a motion that it was not trained on.",
+                }
+            )
+    return shown
+
+
+def _narrowed(picture: Picture) -> Picture:
+    height, width = picture.shape[:2]
+    if width <= SHEET_WIDTH:
+        return picture
+    size = (SHEET_WIDTH, round(height * SHEET_WIDTH / width))
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+
+
+def _on_page(strip: Strip) -> dict[str, Any]:
+    return {
+        "caption": strip.caption,
+        "pictures": [
+            {
+                "label": label, "uri": picture_uri(picture),
+                "width": picture.shape[1], "height": picture.shape[0],
+            }
+            for label, picture in strip.pictures.items()
+        ],
+    }  # fmt: skip
+
+
+def _page(**content: Any) -> str:
+    folder = Path(__file__).parent
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string((folder / TEMPLATE).read_text())
+    return template.render(**content) + "\n"
+
+
+def _log(main: Mapping[str, Table], tables: Mapping[str, Sequence[Titled]]) -> str:
+    if not main:
+        return "no results yet; `make repro` makes them"
+    return "\n\n".join(f"{scene}\n{plain(table)}" for scene, table in main.items())

@@ -1,0 +1,39 @@
+"""Stage `evaluate`: novel views and poses against the sharp truth, motion against true motion."""
+
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Avatar, Motion, Observations, Reference
+from deblur_avatar.config import RunParams, load_params
+from deblur_avatar.pipeline.costs import read_costs
+from deblur_avatar.pipeline.evaluate import evaluate
+from deblur_avatar.pipeline.evaluation_pictures import draw_pictures
+
+
+def main(
+    scene: str, method: str, observations: Path, reference: Path, fusion: Path, costs: Path,
+    out: Path, metrics: Path, params_file: Path,
+) -> None:  # fmt: skip
+    """Measure one method on one scene; `costs` holds what the fitting stages measured."""
+    params = load_params(params_file, f"runs.{scene}-{method}", RunParams)
+    schedule = load_params(params_file, "schedule", str)
+    seed = load_params(params_file, "seed", int)
+    with run.stage("evaluate", f"{scene}-{method}", seed) as context:
+        seen = Observations.load(observations)
+        avatar = Avatar.load(fusion / "avatar")
+        motion = Motion.load(fusion / "motion")
+        evaluation = evaluate(seen, Reference.load(reference), avatar, motion, context.device)
+        pictures = draw_pictures(evaluation.comparisons, seen, avatar, context.device)
+        pictures.save(out)
+        content = {"scene": scene, "method": method, **evaluation.metrics}
+        content["cost"] = {**read_costs(costs, params), "render_fps": evaluation.render_fps}
+        content["run"] = {
+            "seed": seed, "device": context.device.type, "schedule": schedule,
+            "iterations": avatar.iteration,
+        }  # fmt: skip
+        run.write_json(out / "views.json", pictures.index)
+        run.write_json(metrics, content)
+
+
+if __name__ == "__main__":
+    run.command(main)

@@ -1,0 +1,23 @@
+"""Stage `report`: all results on one page, in one summary, in one table."""
+
+import logging
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.config import load_params
+from deblur_avatar.pipeline.report import make_report
+
+logger = logging.getLogger(__name__)
+
+
+def main(metrics: Path, pictures: Path, animations: Path, out: Path, params_file: Path) -> None:
+    """Write `<out>/index.html`, `summary.json`, `table.md`, the chart and a strip of pictures."""
+    with run.stage("report", out.name, load_params(params_file, "seed", int)):
+        report = make_report(metrics, pictures, animations)
+        report.save(out)
+        logger.info("%s", report.log)
+        logger.info("The report: %s", out / "index.html")
+
+
+if __name__ == "__main__":
+    run.command(main)
