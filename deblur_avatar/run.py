@@ -1,6 +1,8 @@
 """A stage's bookends: arguments, seed, device, log, progress, measurements."""
 
 import argparse
+import contextlib
+import ctypes
 import hashlib
 import inspect
 import json
@@ -24,6 +26,9 @@ from tqdm import tqdm
 from deblur_avatar.errors import ArtifactError, ConfigError
 
 T = TypeVar("T")
+
+MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
+KEPT_BYTES = 1 << 30
 
 logger = logging.getLogger(__name__)
 
@@ -68,12 +73,26 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     np.random.seed(derived)  # noqa: NPY002, third parties draw from it
     torch.manual_seed(derived)
     torch.use_deterministic_algorithms(True, warn_only=device.type != "cpu")
+    torch.utils.deterministic.fill_uninitialized_memory = False  # a debugging aid that costs time
+    _keep_freed_memory()
     generator = torch.Generator(device=device).manual_seed(derived)
     logger.info("%s %s: start, device %s, seed %d", name, item, device, derived)
     begin = time.perf_counter()
     yield Context(device=device, generator=generator, seed=derived)
     took = time.perf_counter() - begin
     logger.info("%s %s: done in %.1f s, %.0f MB", name, item, took, peak_memory_mb())
+
+
+def _keep_freed_memory() -> None:
+    """Ask glibc not to return large blocks to the system at once.
+
+    A fitting step frees and takes the same few megabytes hundreds of times; fetching them anew each
+    time costs a page fault per 4 kB (measured: an eighth of a step). Other systems are left alone.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        libc = ctypes.CDLL(None)
+        libc.mallopt(MALLOPT_TRIM_THRESHOLD, KEPT_BYTES)
+        libc.mallopt(MALLOPT_MMAP_THRESHOLD, KEPT_BYTES)
 
 
 def derive_seed(seed: int, *names: str) -> int:

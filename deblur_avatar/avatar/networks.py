@@ -50,7 +50,8 @@ def one_blob(points: Float[Tensor, "P 3"], bins: int) -> Float[Tensor, "P E"]:
     edges = torch.arange(bins + 1, dtype=points.dtype, device=points.device)
     # Distance from the point to every edge in bins; the kernel's radius is one bin.
     distance = (edges - points[..., None] * bins).clamp(-1, 1)
-    cumulative = 0.5 + distance * (15 - 10 * distance**2 + 3 * distance**4) / 16
+    squared = distance * distance
+    cumulative = 0.5 + distance * (15 - 10 * squared + 3 * squared * squared) / 16
     return cumulative.diff(dim=-1).flatten(-2)
 
 

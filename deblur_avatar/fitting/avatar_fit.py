@@ -177,7 +177,17 @@ class AvatarFit:
         return Checkpoint(iteration=iteration, tensors=tensors)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Take over an earlier stage's memory; unknowns that are new start without any."""
+        """Take over an earlier stage's memory; unknowns that are new start without any.
+
+        Raises:
+            ArtifactError: if it remembers another number of Gaussians than there are.
+        """
+        held, wanted = len(checkpoint.tensors["densifier.pull"]), len(self.model.gaussians)
+        if held != wanted:
+            raise ArtifactError(
+                f"checkpoint/1 remembers {held} Gaussians, the avatar has {wanted}: "
+                "take both from one run of one stage"
+            )
         for name, optimiser in self._optimisers().items():
             for group in optimiser.param_groups:
                 parameter = group["params"][0]

@@ -32,7 +32,7 @@ TIMED_FRAMES = 20
 RECOVERED = ("psnr", "psnr_seen", "ssim", "flip", "lpips_vgg")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Comparison:
     """One test view and what the avatar made of it."""
 
@@ -92,7 +92,7 @@ def evaluate(
         "recovery": dict.fromkeys(RECOVERED),
         "gap_to_ceiling_db": None,
         "model": _size(avatar, motion),
-        "views": {"novel_view": len(novel_views), "novel_pose": len(novel_poses)},
+        "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
     fps = _render_fps(model, observations, motion)
     return Evaluation(content, comparisons, fps)

@@ -89,12 +89,10 @@ def draw_pictures(
                 **names,
             }
         )
-    files["strip.png"] = _strip([files[entry[kind]] for kind in ROWS for entry in index], index)
+    rows = ("render", "truth", "difference")
+    files["strip.png"] = _strip([files[entry[kind]] for kind in rows for entry in index], index)
     files["turntable.png"] = turntable(avatar, observations, device)
     return Pictures(files, index)
-
-
-ROWS = {"render": "", "truth": "truth, ", "difference": "FLIP, "}
 
 
 def turntable(avatar: Avatar, observations: Observations, device: torch.device) -> Picture:
@@ -134,25 +132,29 @@ def colour_map(errors: Float[np.ndarray, "H W"]) -> Picture:
 
 
 def _strip(pictures: Sequence[Picture], index: Sequence[dict[str, Any]]) -> Picture:
+    """Renders in the first row, truths in the second, FLIP maps in the third."""
     labels = []
-    for kind, word in ROWS.items():
-        for entry in index:
-            where = f"{entry['camera']}, frame {entry['frame']}"
-            pose = ", new pose" if entry["novel_pose"] else ""
-            score = {"render": f": {entry['psnr']:.1f} dB", "difference": f" {entry['flip']:.3f}"}
-            labels.append(f"{word}{where}{pose}{score.get(kind, '')}")
+    for entry in index:
+        pose = ", new pose" if entry["novel_pose"] else ""
+        labels.append(f"{entry['camera']}, frame {entry['frame']}{pose}: {entry['psnr']:.1f} dB")
+    labels += ["truth"] * len(index)
+    labels += [f"FLIP {entry['flip']:.3f}" for entry in index]
     return contact_sheet(pictures, len(index), labels)
 
 
 def _spread(comparisons: Sequence[Comparison], count: int) -> list[Comparison]:
-    """Some comparisons, walking through cameras and time at once."""
+    """Some comparisons, walking through the cameras forward and through time backward.
+
+    In opposite directions, because a person who turns as the cameras do shows all of them one side.
+    """
     cameras = sorted({comparison.view.camera for comparison in comparisons})
-    chosen = []
-    for step in range(min(count, len(comparisons))):
+    count = min(count, len(comparisons))
+    left = sorted(comparisons, key=lambda comparison: -comparison.view.position)
+    chosen: list[Comparison] = []
+    for step in range(count):
         camera = cameras[step * len(cameras) // count]
-        seen_by = [c for c in comparisons if c.view.camera == camera]
-        seen_by.sort(key=lambda comparison: comparison.view.position)
-        candidate = seen_by[step * len(seen_by) // count]
-        if candidate not in chosen:
-            chosen.append(candidate)
+        candidates = [comparison for comparison in left if comparison.view.camera == camera]
+        if candidates:
+            chosen.append(candidates[step * len(candidates) // count])
+            left.remove(chosen[-1])
     return chosen

@@ -21,7 +21,7 @@ from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import encoded, read_picture
 from deblur_avatar.pipeline.results_table import method_order
 
-Picture = UInt8[np.ndarray, "H W 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 INPUT, TRUTH = "blurred input", "truth"
 LEFT_OUT = ("ceiling",)  # the oracle shows what a sharp input gives; one bound is enough to look at
@@ -124,10 +124,10 @@ def person_box(pictures: Sequence[Picture]) -> tuple[int, int, int, int]:
     rim = np.concatenate([pictures[0][0], pictures[0][-1], pictures[0][:, 0], pictures[0][:, -1]])
     colors, counts = np.unique(rim, axis=0, return_counts=True)
     background = colors[counts.argmax()].astype(int)
-    different = np.zeros(pictures[0].shape[:2], bool)
+    height, width = len(pictures[0]), pictures[0].shape[1]
+    different = np.zeros((height, width), bool)
     for picture in pictures:
         different |= np.abs(picture.astype(int) - background).max(-1) > BACKGROUND_STEP
-    height, width = different.shape
     if not different.any():
         return 0, 0, width, height
     rows, columns = np.flatnonzero(different.any(1)), np.flatnonzero(different.any(0))

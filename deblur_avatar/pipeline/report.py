@@ -26,14 +26,15 @@ from deblur_avatar.pipeline.picture_strips import (
     strip_sheet,
     strips_of_scene,
 )
-from deblur_avatar.pipeline.report_tables import NOT_KNOWN, Titled, facts_of, tables_of
+from deblur_avatar.pipeline.report_tables import NOT_KNOWN, facts_of, tables_of
 from deblur_avatar.pipeline.results_table import (
     BOUNDS,
     NOT_MEASURED,
-    NOVEL_VIEW,
+    SHORT,
     Table,
     look_up,
     markdown,
+    measured,
     plain,
     results_table,
 )
@@ -67,12 +68,18 @@ class Report:
         Raises:
             ArtifactError: if the disk refuses.
         """
+        chart = json.dumps(self.chart, indent=1, ensure_ascii=False) + "\n"
+        texts = {
+            "index.html": self.page,
+            "table.md": self.tables,
+            "speed_accuracy.vl.json": chart,
+        }
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            (folder / "index.html").write_text(self.page)
-            (folder / "table.md").write_text(self.tables)
-            chart = json.dumps(self.chart, indent=1, ensure_ascii=False)
-            (folder / "speed_accuracy.vl.json").write_text(chart + "\n")
+            for name, text in texts.items():
+                scratch = folder / f".{name}.part"
+                scratch.write_text(text)
+                scratch.replace(folder / name)
         except OSError as error:
             raise ArtifactError(f"cannot write {folder}: {error}") from error
         run.write_json(folder / "summary.json", self.summary)
@@ -93,10 +100,6 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
     """
     scenes = {scene: compared(results) for scene, results in read_results(metrics).items()}
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
-    tables = {
-        scene: tables_of(results, _read(metrics / "preprocess" / f"{scene}.json"))
-        for scene, results in scenes.items()
-    }
     chart = speed_accuracy(scenes)
     page = _page(
         headline=_headline(scenes),
@@ -111,22 +114,20 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
                     _read(metrics / "preprocess" / f"{scene}.json"),
                 ),
                 "strips": [_on_page(strip) for strip in strips[scene]],
-                "tables": tables[scene],
+                "tables": tables_of(results, _read(metrics / "preprocess" / f"{scene}.json")),
                 "animations": _animations(scene, results, animations),
             }
             for scene, results in scenes.items()
         ],
     )
-    main = {
-        scene: results_table(results, _readme_columns(results)) for scene, results in scenes.items()
-    }
+    main = {s: results_table(results, measured(results, SHORT)) for s, results in scenes.items()}
     return Report(
         page=page,
         summary=_summary(scenes),
         tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
         chart=chart,
         strip=_readme_strip(strips),
-        log=_log(main, tables),
+        log=_log(main),
     )
 
 
@@ -176,16 +177,11 @@ def _strips(scene: str, results: Results, pictures: Path) -> list[Strip]:
 
 
 def _readme_strip(strips: Mapping[str, Sequence[Strip]]) -> Picture | None:
-    """A few strips of the first scene that has any, fast poses rather than kept ones."""
+    """A few strips of the first scene that has any."""
     for found in strips.values():
         if found:
             return strip_sheet(found[:README_STRIPS])
     return None
-
-
-def _readme_columns(results: Results) -> list[Any]:
-    """The columns that somebody measured."""
-    return [c for c in NOVEL_VIEW if any(look_up(r, c.path) is not None for r in results.values())]
 
 
 def _headline(scenes: Mapping[str, Results]) -> list[dict[str, str]]:
@@ -276,7 +272,7 @@ def _page(**content: Any) -> str:
     return template.render(**content) + "\n"
 
 
-def _log(main: Mapping[str, Table], tables: Mapping[str, Sequence[Titled]]) -> str:
+def _log(main: Mapping[str, Table]) -> str:
     if not main:
         return "no results yet; `make repro` makes them"
     return "\n\n".join(f"{scene}\n{plain(table)}" for scene, table in main.items())

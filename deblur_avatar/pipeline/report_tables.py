@@ -4,17 +4,20 @@ Conventions. Results are contents of metrics files by method; `blur` and `prepro
 the stages of these names. A table whose numbers nobody measured is left out.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from deblur_avatar.pipeline.results_table import (
     BOUNDS,
+    COST,
+    LPIPS,
     NOVEL_VIEW,
     START,
     Column,
     Table,
     look_up,
+    measured,
     results_table,
 )
 
@@ -33,7 +36,7 @@ MOTION = (
     Column(("motion", "surface_error_mm"), "surface", "mm", 1, -1),
     Column(("motion", "joint_error_deg"), "joint angles", "degrees", 2, -1),
     Column(("motion", "travel_error_mm"), "travel in exposure", "mm", 1, -1),
-    Column(("motion", "direction_accuracy"), "right direction", "%", 0, 1, factor=100),
+    Column(("motion", "direction_accuracy"), "right direction", "%", 0, 1, factor=100.0),
     Column(("reblur", "psnr"), "blurred frames explained", "dB", 2, 1),
 )
 FIT = (
@@ -55,30 +58,27 @@ def tables_of(
     results: Mapping[str, Mapping[str, Any]], preprocess: Mapping[str, Any]
 ) -> list[Titled]:
     """The tables of one scene, in the order of the page."""
-    tables = [Titled("Novel views", results_table(results, NOVEL_VIEW), _pictures(results))]
-    if _measured(results, NOVEL_POSE):
-        tables.append(
-            Titled(
-                "Novel poses",
-                results_table(results, NOVEL_POSE),
-                "The last part of the clip, which no method was trained on.",
-            )
-        )
+    # Perceptual distance stays even where nobody could measure it: readers look for it.
+    views = tuple(c for c in NOVEL_VIEW if c is LPIPS or measured(results, [c]))
+    tables = [Titled("Novel views", results_table(results, views), _pictures(results))]
+    if measured(results, NOVEL_POSE):
+        note = "The last part of the clip, which no method was trained on."
+        table = results_table(results, measured(results, NOVEL_POSE))
+        tables.append(Titled("Novel poses", table, note))
     cameras = _camera_columns(results)
     if cameras:
-        tables.append(
-            Titled(
-                "Camera by camera",
-                results_table(results, cameras),
-                "PSNR over all pixels, and over the person.",
-            )
-        )
-    if _measured(results, MOTION[:4]):
+        note = "PSNR over all pixels, and over the person."
+        tables.append(Titled("Camera by camera", results_table(results, cameras), note))
+    if measured(results, MOTION[:-1]):
         table = results_table(
             _with_start(results), MOTION, missing=NOT_KNOWN, bounds=(*BOUNDS, START)
         )
         note = "In italics besides: the poses that every method starts from."
         tables.append(Titled("Motion against the truth", table, note))
+    if measured(results, COST):
+        note = "Training counts the warm-up in full, though methods may share it."
+        table = results_table(results, measured(results, COST), missing=NOT_KNOWN)
+        tables.append(Titled("Cost", table, note))
     fit = {name: entry for name, entry in (preprocess.get("fit") or {}).items() if entry}
     if fit:
         tables.append(
@@ -106,8 +106,11 @@ def facts_of(blur: Mapping[str, Any], preprocess: Mapping[str, Any]) -> list[str
         light = {"srgb": "sRGB values", "linear": "linear light"}.get(str(blur.get("light")), "")
         facts.append(f"{blur['window']} sub-frames averaged{f' as {light}' if light else ''}")
     guessed = look_up(blur, ("interpolation", "psnr_person"))
+    where = " on the person"
+    if guessed is None:
+        guessed, where = look_up(blur, ("interpolation", "psnr")), ""
     if guessed is not None:
-        facts.append(f"interpolated frames match held-out ones at {guessed:.1f} dB on the person")
+        facts.append(f"interpolated frames match held-out ones at {guessed:.1f} dB{where}")
     made = look_up(blur, ("blur", "psnr_person"))
     if made is not None:
         facts.append(f"the blur made of them matches the true blur at {made:.1f} dB")
@@ -140,7 +143,3 @@ def _with_start(results: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[s
     start = next((r["initial"] for r in results.values() if r.get("initial")), None)
     rows: dict[str, Mapping[str, Any]] = {START: {"motion": start}} if start else {}
     return {**rows, **results}
-
-
-def _measured(results: Mapping[str, Mapping[str, Any]], columns: Sequence[Column]) -> bool:
-    return any(look_up(r, column.path) is not None for r in results.values() for column in columns)

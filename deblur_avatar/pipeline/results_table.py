@@ -46,21 +46,33 @@ class Table:
     of: str  # what a row is
 
 
+PSNR = Column(("image", "psnr"), "PSNR", "dB", 2, 1)
+SSIM = Column(("image", "ssim"), "SSIM", "", 3, 1)
+FLIP = Column(("image", "flip"), "FLIP", "", 3, -1)
+LPIPS = Column(("image", "lpips_vgg"), "LPIPS", "VGG", 3, -1)
+PERSON = Column(("image", "psnr_foreground"), "PSNR person", "dB", 2, 1)
+SEEN = Column(("image", "psnr_seen"), "PSNR seen", "dB", 2, 1)
+FLIP_SEEN = Column(("image", "flip_seen"), "FLIP seen", "", 3, -1)
+RECOVERY = Column(("recovery", "psnr"), "recovery", "of PSNR", 2, 1)
+RECOVERY_SEEN = Column(("recovery", "psnr_seen"), "recovery", "of PSNR seen", 2, 1)
+TO_CEILING = Column(("gap_to_ceiling_db",), "to ceiling", "dB", 2, -1)
+TRAINING = Column(("cost", "train_s"), "training", "s", 0, -1)
+DRAWING = Column(("cost", "render_fps"), "drawing", "frames/s", 0, 1)
+GAUSSIANS = Column(("model", "gaussians"), "Gaussians", "", 0)
+
 NOVEL_VIEW = (
-    Column(("image", "psnr"), "PSNR", "dB", 2, 1),
-    Column(("image", "ssim"), "SSIM", "", 3, 1),
-    Column(("image", "flip"), "FLIP", "", 3, -1),
-    Column(("image", "lpips_vgg"), "LPIPS", "VGG", 3, -1),
-    Column(("image", "psnr_foreground"), "PSNR person", "dB", 2, 1),
-    Column(("image", "psnr_seen"), "PSNR seen", "dB", 2, 1),
-    Column(("image", "flip_seen"), "FLIP seen", "", 3, -1),
-    Column(("recovery", "psnr"), "recovery", "of PSNR", 2, 1),
-    Column(("gap_to_ceiling_db",), "to ceiling", "dB", 2, -1),
-    Column(("cost", "train_s"), "training", "s", 0, -1),
-    Column(("cost", "render_fps"), "drawing", "frames/s", 0, 1),
-    Column(("model", "gaussians"), "Gaussians", "", 0),
+    PSNR, SSIM, FLIP, LPIPS, PERSON, SEEN, FLIP_SEEN, RECOVERY, RECOVERY_SEEN, TO_CEILING,
+)  # fmt: skip
+COST = (
+    TRAINING,
+    DRAWING,
+    Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1),
+    GAUSSIANS,
     Column(("model", "megabytes"), "size", "MB", 1, -1),
+    Column(("model", "virtual_poses_mean"), "virtual poses", "a frame", 1),
+    Column(("run", "iterations"), "iterations", "", 0),
 )
+SHORT = (PSNR, SSIM, FLIP, SEEN, RECOVERY, TO_CEILING, TRAINING, DRAWING, GAUSSIANS)
 
 
 def method_order(methods: Iterable[str]) -> list[str]:
@@ -87,7 +99,7 @@ def results_table(
     bounds: Sequence[str] = BOUNDS,
     of: str = "method",
 ) -> Table:
-    """Make a table of the methods of one scene; columns nobody measured are kept.
+    """Make a table of the methods of one scene.
 
     Args:
         results: by method.
@@ -109,6 +121,17 @@ def results_table(
         rows=tuple((method, tuple(cells[method])) for method in methods),
         bounds=tuple(method for method in methods if method in bounds),
         of=of,
+    )
+
+
+def measured(
+    results: Mapping[str, Mapping[str, Any]], columns: Sequence[Column]
+) -> tuple[Column, ...]:
+    """The columns in which anybody has a number."""
+    return tuple(
+        column
+        for column in columns
+        if any(look_up(result, column.path) is not None for result in results.values())
     )
 
 

@@ -28,7 +28,7 @@ SEEN_CELLS = 2  # along a triangle's edge of the body, whose triangles are about
 RAYS_PER_AXIS = 2  # of a pixel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TruthView:
     """One sharp picture of a test camera."""
 

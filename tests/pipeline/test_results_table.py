@@ -56,7 +56,7 @@ def test_numbers_are_shown_with_their_digits_and_signs():
     assert shown(-0.5, PSNR) == "\u22120.50"
     assert shown(-0.001, PSNR) == "0.00"
     assert shown(1234567.0, COUNT) == "1\u2009234\u2009567"
-    assert shown(0.5, Column(("a",), "share", "%", 0, factor=100)) == "50"
+    assert shown(0.5, Column(("a",), "share", "%", 0, factor=100.0)) == "50"
 
 
 def test_what_is_not_a_finite_number_was_not_measured():

@@ -1,0 +1,428 @@
+import pytest
+import torch
+
+from deblur_avatar.artifacts import Checkpoint
+from deblur_avatar.avatar.model import AvatarModel, draw
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants, trajectory_from_artifact
+from deblur_avatar.avatar.skinning_field import surface_weights
+from deblur_avatar.config import ModelParams
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.fitting import avatar_fit
+from deblur_avatar.fitting.avatar_fit import AvatarFit
+from deblur_avatar.fitting.fusion_network import FusionNetwork
+
+CPU = torch.device("cpu")
+PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
+
+
+def quiet(iteration, terms):
+    pass
+
+
+def changed(params, section, **values):
+    return params.model_copy(update={section: getattr(params, section).model_copy(update=values)})
+
+
+def paced(schedule, last):
+    """A schedule on which a run ends at `last`."""
+    return schedule.model_copy(update={"warmup": 1, "trajectory": 2, "fusion": last})
+
+
+@pytest.fixture
+def begin(observations, start, schedule):
+    """Build a fit from scratch, the same one for the same arguments."""
+
+    def make(
+        params=start, motion="fixed", noise=0.05, last=18, seen=observations, fused=False, count=80
+    ):
+        torch.manual_seed(0)
+        generator = torch.Generator().manual_seed(0)
+        model = AvatarModel.create(
+            params.model, seen.body, seen.poses.betas, len(seen.frames), count, seen.light,
+            generator,
+        )  # fmt: skip
+        if motion == "pair":
+            apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
+            trajectory = PairMotion(seen.poses, instants(5, "endpoints"), noise, apart)
+        else:
+            trajectory = FrameMotion(seen.poses, refined=motion == "frame")
+        network = None
+        if fused:
+            network = FusionNetwork(model.pose_encoder.size, len(seen.frames), 4, 4, [8])
+        return AvatarFit(
+            model, trajectory, seen, params, paced(schedule, last), CPU, generator, network
+        )
+
+    return make
+
+
+def everything(fit):
+    """All unknowns of a fit, cloned."""
+    parts = {"model": fit.model, "motion": fit.trajectory}
+    return {
+        f"{part}.{name}": value.detach().clone()
+        for part, module in parts.items()
+        for name, value in module.named_parameters()
+    }
+
+
+def moved(before, after):
+    return {name for name in before if not torch.equal(before[name], after[name])}
+
+
+def hurried(params):
+    """Rates at which sixty steps are enough to see something."""
+    rates = {"color": 0.02, "rigid": 0.01, "features": 0.1, "opacities": 0.2, "scales": 0.02}
+    return changed(params, "optimiser", **rates)
+
+
+@pytest.fixture
+def quick_pretraining(monkeypatch):
+    monkeypatch.setattr(avatar_fit, "PRETRAIN_SAMPLES", 256)
+    monkeypatch.setattr(avatar_fit, "PRETRAIN_RATE", 0.02)
+
+
+@pytest.mark.usefixtures("quick_pretraining")
+def test_fitting_makes_pictures_like_the_frames(begin, observations, start):
+    fit = begin(params=hurried(start), count=150, last=60)
+    fit.pretrain_skinning(100)
+    losses = []
+    fit.run(1, 60, "sharp", "mean", lambda _, terms: losses.append(terms))
+    assert set(losses[0]) == {
+        "l1", "structure", "mask", "skinning", "isotropy_means", "isotropy_covars",
+    }  # fmt: skip
+    first, last = (sum(t["l1"] for t in part) / 4 for part in (losses[:4], losses[-4:]))
+    assert last < 0.5 * first
+    camera = observations.cameras
+    images, _ = draw(fit.model, observations.poses, camera.Ks[0], camera.viewmats[0], 24, 24)
+    error = (images[0] - observations.frames[0] / 255).abs().mean()
+    black = (observations.frames[0] / 255).mean()
+    assert error < 0.4 * black
+
+
+@pytest.mark.usefixtures("quick_pretraining")
+def test_pretraining_teaches_the_bodys_own_weights(begin):
+    fit = begin()
+    before = fit._skinning_loss(1000).item()
+    fit.pretrain_skinning(100)
+    assert fit._skinning_loss(1000).item() < 0.6 * before
+
+
+def test_without_a_skinning_network_there_is_nothing_to_pretrain(begin, start):
+    fit = begin(params=start.model_copy(update={"model": PLAIN}))
+    before = everything(fit)
+    fit.pretrain_skinning(3)
+    assert not moved(before, everything(fit))
+
+
+def test_equal_seeds_fit_equally_bit_for_bit(begin):
+    results = []
+    for _ in range(2):
+        fit = begin(motion="pair", fused=True)
+        fit.run(1, 6, "fused", "mean", quiet)
+        results.append(everything(fit))
+    assert not moved(*results)
+
+
+def test_gaussians_wait_for_the_networks(begin, start):
+    fit = begin(last=15)  # starts at 1000 of the paper's 15,000: after iteration 1
+    before = everything(fit)
+    fit.run(1, 1, "sharp", "mean", quiet)
+    assert not any("gaussians" in name for name in moved(before, everything(fit)))
+    assert any("color" in name for name in moved(before, everything(fit)))
+    fit.run(2, 2, "sharp", "mean", quiet)
+    assert any("gaussians" in name for name in moved(before, everything(fit)))
+
+
+def test_the_non_rigid_network_waits_for_the_skinning(begin):
+    fit = begin(last=15)  # starts at 3000 of the paper's 15,000: after iteration 3
+    before = everything(fit)
+    fit.run(1, 3, "sharp", "mean", quiet)
+    assert not any("nonrigid" in name for name in moved(before, everything(fit)))
+    fit.run(4, 4, "sharp", "mean", quiet)
+    assert any("nonrigid" in name for name in moved(before, everything(fit)))
+
+
+def test_the_skinning_loss_weighs_a_hundredth_after_the_switch(begin, start):
+    params = changed(start, "optimiser", rigid=1e-12, skinning_switch=5000)
+    terms = []
+    begin(params=params, last=6).run(1, 4, "sharp", "mean", lambda _, t: terms.append(t))
+    early, late = terms[1]["skinning"], terms[2]["skinning"]
+    assert late == pytest.approx(early / 100, rel=0.3)  # other samples
+
+
+@pytest.mark.parametrize(
+    ("motion", "unknown"),
+    [("fixed", set()), ("frame", {"axis_angle", "transl"}),
+     ("pair", {"start", "end", "start_transl", "end_transl"})],
+)  # fmt: skip
+def test_what_moves_is_what_is_unknown(begin, motion, unknown):
+    fit = begin(motion=motion)
+    before = everything(fit)
+    supervision = "mean" if motion == "pair" else "sharp"
+    fit.run(1, 2, supervision, "mean", quiet)
+    names = {n.removeprefix("motion.") for n in moved(before, everything(fit)) if "motion" in n}
+    assert names == unknown
+
+
+def test_every_frame_is_visited_once_before_any_is_visited_again(begin, observations):
+    fit = begin()
+    count = len(observations.train)
+    visits = [fit._next_frame() for _ in range(3 * count)]
+    for turn in range(3):
+        assert sorted(visits[turn * count : (turn + 1) * count]) == list(observations.train)
+    assert visits[:count] != visits[count : 2 * count]
+
+
+def test_frames_set_aside_and_frames_without_a_person_are_not_fitted(begin, sharpened):
+    weights = torch.tensor([1.0, 0, 1, 1, 1])
+    fit = begin(motion="frame", seen=sharpened(weights=weights))
+    before = fit.trajectory.axis_angle.detach().clone()
+    fit.run(1, 6, "sharp", "mean", quiet)
+    still = (fit.trajectory.axis_angle == before).flatten(1).all(1)
+    assert still.tolist() == [False, True, False, False, True]  # 4 is for validation
+
+
+def test_frames_that_were_not_fitted_are_coloured_like_their_neighbours(begin, sharpened):
+    fit = begin(seen=sharpened(train=(0, 1), validation=(3,)))
+    fit.run(1, 2, "sharp", "mean", quiet)
+    codes = fit.model.color.latents.weight
+    assert not torch.equal(codes[0], codes[1])
+    assert torch.equal(codes[2:], codes[1].expand(3, 2))
+
+
+def test_a_black_mask_and_a_clip_without_a_person_are_refused(begin, sharpened, observations):
+    mattes = observations.mattes.clone()
+    mattes[2] = 0
+    with pytest.raises(ArtifactError, match="frame 2 has a black mask; its weight should be 0"):
+        begin(seen=sharpened(mattes=mattes))
+    with pytest.raises(ArtifactError, match="no training frame shows a person"):
+        begin(seen=sharpened(weights=torch.zeros(5)))
+
+
+def memory(fit, name):
+    tensors = fit.checkpoint(0).tensors
+    return tensors[f"networks.{name}.exp_avg"]
+
+
+def test_a_pair_with_equal_ends_is_pulled_alike_at_both_and_noise_tells_them_apart(begin):
+    for noise in (0.0, 0.05):
+        fit = begin(motion="pair", noise=noise, count=150)
+        fit.step(1, "mean", "mean")
+        start, end = memory(fit, "motion.start"), memory(fit, "motion.end")
+        apart = (start - end).abs().max() / start.abs().max()
+        assert apart < 1e-5 if noise == 0 else apart > 1e-3
+
+
+@pytest.mark.parametrize("mask", ["mean", "centre"])
+def test_a_still_body_does_not_blur(begin, mask):
+    sharp = begin(motion="frame").step(1, "sharp", "mean")
+    still = begin(motion="pair", noise=0.0).step(1, "mean", mask)
+    assert still == pytest.approx(sharp, rel=1e-4)
+
+
+def test_union_covers_more_than_the_mean(begin, start, sharpened):
+    """Against an empty matte (but for one pixel) the mask's loss is what is covered."""
+    mattes = torch.zeros(5, 24, 24, dtype=torch.uint8)
+    mattes[:, 12, 12] = 1
+    seen = sharpened(mattes=mattes)
+    losses = {}
+    for mask in ("centre", "mean", "union"):
+        losses[mask] = begin(motion="pair", noise=0.5, seen=seen).step(1, "mean", mask)["mask"]
+    assert losses["union"] > 1.2 * losses["mean"]
+    assert losses["centre"] != losses["mean"]
+
+
+def test_fusing_equal_renders_changes_nothing(begin):
+    averaged = begin(motion="pair", noise=0.0).step(1, "mean", "mean")
+    fused = begin(motion="pair", noise=0.0, fused=True).step(1, "fused", "mean")
+    assert fused == pytest.approx(averaged, rel=1e-4)
+
+
+def test_fusing_trains_the_fusion_network_and_both_renders(begin):
+    fit = begin(motion="pair", fused=True)
+    before = {name: value.detach().clone() for name, value in fit.fusion.named_parameters()}
+    poses = everything(fit)
+    fit.step(1, "fused", "mean")
+    after = dict(fit.fusion.named_parameters())
+    assert all(not torch.equal(before[name], after[name]) for name in before)
+    assert {"motion.start", "motion.end"} <= moved(poses, everything(fit))
+
+
+def test_light_is_averaged_before_it_is_encoded(begin, sharpened):
+    """The same avatar, taken to be linear, is brighter in sRGB; a black frame shows by how much."""
+    black = torch.zeros(5, 24, 24, 3, dtype=torch.uint8)
+    terms = {
+        light: begin(motion="pair", seen=sharpened(frames=black, light=light)).step(
+            1, "mean", "mean"
+        )
+        for light in ("srgb", "linear")
+    }
+    assert terms["linear"]["l1"] > 1.2 * terms["srgb"]["l1"]
+    assert terms["linear"]["mask"] == pytest.approx(terms["srgb"]["mask"])
+
+
+def test_network_gradients_are_clipped_together_and_poses_are_not(begin, start):
+    params = changed(start, "optimiser", clip=1e-3)
+    fit = begin(params=params, motion="pair")
+    fit.step(1, "mean", "mean")
+    tensors = fit.checkpoint(1).tensors
+    # Adam's first memory is a tenth of the first gradient (and of its decay).
+    networks = [
+        value / 0.1
+        for name, value in tensors.items()
+        if name.startswith("networks.network") and name.endswith("exp_avg")
+        if "latents" not in name
+    ]
+    norm = torch.cat([value.flatten() for value in networks]).norm().item()
+    assert norm == pytest.approx(1e-3, rel=0.05)
+    assert tensors["networks.motion.start.exp_avg"].norm() / 0.1 > 2e-3
+
+
+def test_learning_rates_fall_as_the_papers_do(begin, start):
+    fit = begin(motion="pair", fused=True, last=20)
+    fit.step(20, "fused", "mean")
+    rates = {
+        group["name"]: group["lr"]
+        for optimiser in fit._optimisers().values()
+        for group in optimiser.param_groups
+    }
+    base = start.optimiser
+    assert rates["means"] == pytest.approx((base.means * base.means_final) ** 0.5)
+    assert rates["quats"] == base.quats
+    assert rates["network.nonrigid.last.weight"] == pytest.approx(0.1 * base.nonrigid)
+    assert rates["network.skinning.network.last.weight"] == pytest.approx(0.1 * base.rigid)
+    assert rates["motion.start"] == pytest.approx(0.1 * base.poses)
+    assert rates["fusion.look.weight"] == base.fusion
+
+
+def test_only_the_latent_codes_of_frames_decay(begin, start):
+    fit = begin()
+    decays = {g["name"]: g["weight_decay"] for g in fit._optimisers()["networks"].param_groups}
+    assert decays.pop("network.color.latents.weight") == start.optimiser.latent_decay
+    assert set(decays.values()) == {0.0}
+
+
+def densifying(start):
+    """Every step adds what is pulled at all; nothing is dropped."""
+    return changed(without_densification(start), "densify", start=1, every=1, gradient=1e-12)
+
+
+def without_densification(start):
+    """No gradient is as large as that, no Gaussian as faint or as wide."""
+    return changed(
+        start, "densify", gradient=100.0, prune_opacity=0.0, prune_scale_m=100.0, most=2.0
+    )
+
+
+def test_gaussians_are_added_between_start_and_stop_and_up_to_the_cap(begin, start):
+    fit = begin(params=densifying(start), last=15)  # stops at 10,000: iteration 10
+    counts = []
+    fit.run(1, 15, "sharp", "mean", lambda *_: counts.append(len(fit.model.gaussians)))
+    assert counts[0] > 80
+    assert max(counts) == 160
+    assert len(set(counts[9:])) == 1
+
+
+def test_who_is_next_to_whom_is_looked_up_again_when_gaussians_change_but_not_their_number(
+    begin, start
+):
+    params = start.model_copy(update={"model": PLAIN})
+    params = changed(without_densification(params), "densify", start=1, every=1)
+    fit = begin(params=params, last=15)
+    fit.run(1, 2, "sharp", "mean", quiet)  # the second step edits, and changes nothing
+    with torch.no_grad():
+        fit.model.gaussians.means.copy_(fit.model.gaussians.means.flip(0))
+    means = fit.model.gaussians.means.detach().clone()
+    looked_up = []
+    posed = fit.model.weights_at
+
+    def watch(points):
+        looked_up.append(posed(points))
+        return looked_up[-1]
+
+    fit.model.weights_at = watch
+    fit.step(3, "sharp", "mean")
+    expected = surface_weights(means, fit.model.canonical_vertices, fit.model.body)
+    assert torch.equal(looked_up[0], expected)
+
+
+def continued(fit, motion, checkpoint, seen, params, schedule, last):
+    """A new fit that knows only what was saved, and where random draws stood."""
+    model = AvatarModel.from_artifact(fit.model.to_artifact(checkpoint.iteration), seen.body, CPU)
+    generator = torch.Generator()
+    generator.set_state(fit._generator.get_state())
+    again = AvatarFit(
+        model, trajectory_from_artifact(motion), seen, params, paced(schedule, last), CPU, generator
+    )
+    again.restore(checkpoint)
+    return again
+
+
+def test_a_restored_fit_goes_on_bit_for_bit_as_the_uninterrupted_one(
+    begin, start, schedule, sharpened, tmp_path
+):
+    # Iteration 99 ends a round of three frames, and at 100 neighbours are looked up anyway: order
+    # and neighbours are the two things that a checkpoint does not hold.
+    seen = sharpened(train=(0, 1, 2))
+    params = changed(densifying(start), "densify", start=9500, every=300, stop=15_000, most=99.0)
+    fit = begin(params=params, motion="pair", seen=seen, last=150, count=60)
+    fit.run(1, 99, "mean", "mean", quiet)
+    count = len(fit.model.gaussians)
+    fit.checkpoint(99).save(tmp_path / "checkpoint")
+    motion = fit.trajectory.to_artifact(seen.poses.betas, seen.timestamps)
+    again = continued(
+        fit, motion, Checkpoint.load(tmp_path / "checkpoint"), seen, params, schedule, 150
+    )
+    assert not moved(everything(fit), everything(again))
+    for one in (fit, again):
+        one.run(100, 106, "mean", "mean", quiet)
+    assert len(fit.model.gaussians) > count  # the densifier has gone on too
+    assert not moved(everything(fit), everything(again))
+
+
+def test_a_checkpoint_does_not_change_when_fitting_goes_on(begin, start):
+    fit = begin(params=without_densification(start))
+    fit.run(1, 3, "sharp", "mean", quiet)
+    checkpoint = fit.checkpoint(3)
+    before = {name: value.clone() for name, value in checkpoint.tensors.items()}
+    other = begin(params=without_densification(start))
+    other.restore(checkpoint)
+    for one in (fit, other):
+        one.run(4, 5, "sharp", "mean", quiet)
+    assert all(torch.equal(value, before[name]) for name, value in checkpoint.tensors.items())
+
+
+def test_a_checkpoint_of_another_avatar_is_refused(begin):
+    with pytest.raises(ArtifactError, match="remembers 80 Gaussians, the avatar has 60"):
+        begin(count=60).restore(begin().checkpoint(0))
+
+
+def test_unknowns_that_are_new_start_without_memory(begin, start):
+    params = without_densification(start)
+    fixed, pair = begin(params=params), begin(params=params, motion="pair")
+    fixed.run(1, 3, "sharp", "mean", quiet)
+    pair.restore(fixed.checkpoint(3))
+    tensors = pair.checkpoint(3).tensors
+    assert not any("motion" in name for name in tensors)
+    old = fixed.checkpoint(3).tensors
+    assert tensors.keys() == old.keys()
+    assert all(torch.equal(tensors[name], old[name]) for name in old)
+
+
+def test_a_plain_avatar_at_fixed_poses_can_be_fitted_too(begin, start, observations):
+    params = start.model_copy(update={"model": PLAIN})
+    losses = []
+    fit = begin(params=hurried(params), count=150, last=60)
+    fit.run(1, 60, "sharp", "mean", lambda _, terms: losses.append(terms["l1"]))
+    assert sum(losses[-4:]) < 0.4 * sum(losses[:4])
+
+
+def test_time_spent_is_told_in_seconds(begin):
+    assert 0 < begin().run(1, 1, "sharp", "mean", quiet) < 60
+
+
+def test_isotropy_can_be_switched_off(begin, start):
+    params = changed(start, "losses", isotropy_means=0.0, isotropy_covars=0.0, structure=0.0)
+    terms = begin(params=params).step(1, "sharp", "mean")
+    assert set(terms) == {"l1", "mask", "skinning"}

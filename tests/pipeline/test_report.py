@@ -1,0 +1,306 @@
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.picture_files import read_picture, write_picture
+from deblur_avatar.imaging.video_writing import write_video
+from deblur_avatar.pipeline.picture_strips import INPUT, TRUTH, person_box, strips_of_scene
+from deblur_avatar.pipeline.report import make_report
+from deblur_avatar.pipeline.report_tables import facts_of, tables_of
+from deblur_avatar.pipeline.speed_accuracy import drawn, speed_accuracy
+
+PSNR = {"ceiling": 30.0, "oracle": 28.0, "blind": 24.0, "paper": 25.0}
+
+
+def result(scene, method, psnr, **changes):
+    return {
+        "scene": scene, "method": method,
+        "image": {"psnr": psnr, "ssim": 0.9, "flip": 0.1, "lpips_vgg": None, "psnr_seen": psnr - 2},
+        "novel_pose": {"psnr": psnr - 1}, "cameras": {"left": {"psnr": psnr, "psnr_foreground": 9}},
+        "motion": {"joint_error_mm": 10.0}, "initial": {"joint_error_mm": 14.0},
+        "cost": {"train_s": 100.0, "render_fps": 50.0}, "model": {"gaussians": 8000},
+        "counts": {"novel_views": 8}, "run": {"device": "cpu", "schedule": "quick"},
+        "recovery": {"psnr": None}, "gap_to_ceiling_db": None,
+    } | changes  # fmt: skip
+
+
+def person(value):
+    picture = np.zeros((20, 16, 3), np.uint8)
+    picture[4:16, 6:10] = value
+    return picture
+
+
+@pytest.fixture
+def project(tmp_path):
+    """Metrics, pictures and an animation of two scenes, a few pixels each."""
+    for scene, methods in (("studio", list(PSNR)), ("yard", ["oracle", "blind", "paper"])):
+        for method in methods:
+            write_json(
+                tmp_path / "metrics" / scene / f"{method}.json",
+                result(scene, method, PSNR[method]),
+            )
+            folder = tmp_path / "evaluate" / f"{scene}-{method}"
+            views = []
+            for frame in (2, 7):
+                names = {"render": f"{frame}-r.png", "truth": "t.png", "blurred": f"{frame}-b.png"}
+                write_picture(folder / names["render"], person(list(PSNR).index(method) * 50 + 90))
+                write_picture(folder / names["truth"], person(250))
+                write_picture(folder / names["blurred"], person(60))
+                views.append({"camera": "left", "frame": frame, "novel_pose": frame == 7, **names})
+            write_json(folder / "views.json", views)
+    write_json(tmp_path / "metrics/blur/studio.json", {"scene": "studio", "window": 33})
+    write_json(tmp_path / "metrics/warmup/studio-blurred-paper.json", {"seconds": 20})
+    frames = [person(value) for value in (50, 100, 150)]
+    write_picture(tmp_path / "animate/studio-paper/contact_sheet.png", frames[0])
+    write_video(tmp_path / "animate/studio-paper/video.mp4", frames, 3.0)
+    return tmp_path
+
+
+def write_json(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content))
+
+
+def made(project):
+    return make_report(project / "metrics", project / "evaluate", project / "animate")
+
+
+class Page(HTMLParser):
+    """Addresses, tags and words of a page; complains about tags that are not closed."""
+
+    VOID = ("meta", "img", "br", "link", "input")
+
+    def __init__(self, text):
+        super().__init__()
+        self.addresses, self.open, self.words, self.rows = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [
+            v for k, v in attrs if k in ("src", "href", "poster", "srcset", "action")
+        ]
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+
+    def handle_startendtag(self, tag, attrs):
+        self.addresses += [v for k, v in attrs if k in ("src", "href", "xlink:href")]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if data.strip():
+            self.words.append(data.strip())
+            if self.rows and "table" in self.open and "tr" in self.open:
+                self.rows[-1].append(data.strip())
+
+
+def test_the_page_loads_nothing_from_anywhere(project):
+    report = made(project)
+    page = Page(report.page)
+    assert page.open == []
+    assert page.addresses
+    assert all(address.startswith("data:") for address in page.addresses)
+    outside = re.findall(r"(?:https?:)?//[^\s\"'<>)]+", report.page)
+    assert set(outside) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    assert "@import" not in report.page
+    assert "url(" not in re.sub(r"url\(#\w+\)", "", report.page)
+    assert len(report.page) < 5_000_000
+
+
+def test_the_page_shows_every_method_from_input_to_truth(project):
+    page = Page(made(project).page)
+    labels = page.words
+    start = labels.index(INPUT)
+    assert labels[start : start + 5] == [INPUT, "blind", "paper", "oracle", TRUTH]
+    pictures = [address for address in page.addresses if address.startswith("data:image/jpeg")]
+    assert len(pictures) == 2 * 2 * 5 + 1  # scenes, views, columns; one contact sheet
+    assert sum(address.startswith("data:video/mp4") for address in page.addresses) == 1
+
+
+def test_the_page_has_the_numbers_of_the_files(project):
+    rows = Page(made(project).page).rows
+    paper = next(row for row in rows if row[0] == "paper")
+    assert paper[1] == "25.00"
+    assert "not measured" in paper
+    assert "0.25" in paper  # recovery: one of four decibels
+    assert "5.00" in paper  # to the ceiling
+
+
+def test_the_summary_averages_methods_over_scenes_and_fills_in_recovery(project):
+    summary = made(project).summary
+    assert summary["methods"]["paper"]["scenes"] == ["studio", "yard"]
+    assert summary["methods"]["ceiling"]["scenes"] == ["studio"]
+    assert summary["methods"]["paper"]["image"]["psnr"] == 25.0
+    assert summary["methods"]["paper"]["recovery"]["psnr"] == pytest.approx(0.25)
+    assert summary["methods"]["paper"]["gap_to_ceiling_db"] == pytest.approx(5.0)
+    assert summary["scenes"]["yard"]["paper"]["gap_to_ceiling_db"] is None
+    assert summary["scenes"]["studio"]["paper"]["image"]["lpips_vgg"] is None
+
+
+def test_equal_results_give_equal_bytes(project):
+    for name in ("a", "b"):
+        made(project).save(project / name)
+    files = sorted(path.name for path in (project / "a").iterdir())
+    assert files == [
+        "index.html", "speed_accuracy.vl.json", "strip.png", "summary.json", "table.md",
+    ]  # fmt: skip
+    for name in files:
+        assert (project / "a" / name).read_bytes() == (project / "b" / name).read_bytes(), name
+
+
+def test_the_table_for_the_readme_has_one_part_a_scene(project):
+    text = made(project).tables
+    assert text.index("**studio**") < text.index("**yard**")
+    assert "| `paper` | **25.00** |" in text
+    assert "LPIPS" not in text  # nobody measured it
+    assert "to ceiling" not in text[text.index("**yard**") :]
+
+
+def test_nothing_at_all_is_still_a_page(tmp_path):
+    report = make_report(tmp_path / "metrics", tmp_path / "evaluate", tmp_path / "animate")
+    assert "No results yet" in report.page
+    assert Page(report.page).open == []
+    assert report.strip is None
+    assert report.log == "no results yet; `make repro` makes them"
+    report.save(tmp_path / "reports")
+
+
+def test_a_run_without_pictures_has_its_numbers(project):
+    for path in (project / "evaluate/yard-paper").iterdir():
+        path.unlink()
+    (project / "evaluate/yard-paper").rmdir()
+    page = Page(made(project).page)
+    assert sum(row[0] == "paper" for row in page.rows) > 2
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("metrics/yard/paper.json", "{", r"yard/paper\.json is damaged"),
+        ("metrics/yard/paper.json", "[1]", r"yard/paper\.json holds a list"),
+        ("evaluate/yard-paper/views.json", "{", r"views\.json is damaged"),
+        ("evaluate/yard-paper/views.json", '[{"camera": 1}]', r"views\.json is damaged"),
+        ("evaluate/yard-paper/2-r.png", "", r"2-r\.png is not a picture"),
+    ],
+)
+def test_a_damaged_file_is_named(project, name, content, message):
+    (project / name).write_text(content)
+    with pytest.raises(ArtifactError, match=message):
+        made(project)
+
+
+def test_names_from_files_cannot_change_the_page(project):
+    name = "<script>alert(1)</script>"
+    views = json.loads((project / "evaluate/yard-paper/views.json").read_text())
+    for method in ("oracle", "blind", "paper"):
+        renamed = [{**view, "camera": name} for view in views]
+        write_json(project / f"evaluate/yard-{method}/views.json", renamed)
+    assert "<script>" not in made(project).page
+
+
+def test_only_views_that_all_methods_drew_are_lined_up(project):
+    path = project / "evaluate/studio-blind/views.json"
+    write_json(path, json.loads(path.read_text())[:1])
+    folders = {m: project / "evaluate" / f"studio-{m}" for m in PSNR}
+    strips = strips_of_scene(folders, most=4)
+    assert len(strips) == 1
+    assert list(strips[0].pictures) == [INPUT, "blind", "paper", "oracle", TRUTH]
+    assert "frame 2" in strips[0].caption
+    assert not strips[0].novel_pose
+
+
+def test_strips_are_spread_over_the_views(project):
+    for method in PSNR:
+        folder = project / "evaluate" / f"studio-{method}"
+        view = json.loads((folder / "views.json").read_text())[0]
+        write_json(folder / "views.json", [{**view, "frame": frame} for frame in range(9)])
+    folders = {m: project / "evaluate" / f"studio-{m}" for m in PSNR}
+    frames = [re.search(r"frame (\d+)", s.caption)[1] for s in strips_of_scene(folders, most=3)]
+    assert frames == ["0", "4", "8"]
+
+
+def test_all_columns_are_cut_alike_to_the_person():
+    dim = np.full((30, 30, 3), 40, np.uint8)
+    dim[10:20, 12:18] = 200
+    shifted = np.roll(dim, 3, axis=1)
+    assert person_box([dim]) == (11, 9, 19, 21)
+    assert person_box([dim, shifted]) == (11, 9, 22, 21)
+    assert person_box([np.full((30, 20, 3), 9, np.uint8)]) == (0, 0, 20, 30)
+
+
+def test_the_strip_of_the_readme_is_a_picture_of_all_columns(project):
+    made(project).save(project / "reports")
+    picture = read_picture(project / "reports/strip.png")
+    assert picture.shape[1] > 5 * 200
+
+
+def test_few_cameras_are_shown_apart_and_many_are_not():
+    def titles(count):
+        cameras = {f"cam{i}": {"psnr": 20.0} for i in range(count)}
+        found = tables_of({"blind": result("s", "blind", 20.0, cameras=cameras)}, {})
+        return [titled.title for titled in found]
+
+    assert "Camera by camera" in titles(3)
+    assert "Camera by camera" not in titles(8)
+    assert "Camera by camera" not in titles(1)
+
+
+def test_tables_that_nobody_measured_are_left_out():
+    bare = {"scene": "s", "method": "blind", "image": {"psnr": 20.0}}
+    assert [titled.title for titled in tables_of({"blind": bare}, {})] == ["Novel views"]
+
+
+def test_the_poses_before_fitting_stand_first_and_are_not_ranked():
+    results = {
+        "blind": result("s", "blind", 20.0), "paper": result("s", "paper", 21.0),
+    }  # fmt: skip
+    results["paper"]["motion"] = {"joint_error_mm": 15.0}
+    titled = next(t for t in tables_of(results, {}) if t.title == "Motion against the truth")
+    assert [row for row, _ in titled.table.rows] == ["initial", "blind", "paper"]
+    assert [cells[0].text for _, cells in titled.table.rows] == ["14.0", "10.0", "15.0"]
+    assert [cells[0].rank for _, cells in titled.table.rows] == [None, 1, 2]
+
+
+def test_fitted_bodies_are_shown_camera_by_camera():
+    preprocess = {"fit": {"cam01": {"reprojection_px": 4.61, "iou": 0.85, "offset_px": [0, 1]}}}
+    titled = tables_of({"blind": result("s", "blind", 20.0)}, preprocess)[-1]
+    assert titled.table.of == "camera"
+    assert [cell.text for cell in titled.table.rows[0][1]] == ["4.6", "0.850"]
+
+
+def test_facts_are_said_as_far_as_they_are_known():
+    blur = {
+        "window": 33, "light": "linear", "exposure_ms": 68.75, "blur": None,
+        "interpolation": {"psnr": 41.67, "psnr_person": None},
+    }  # fmt: skip
+    preprocess = {"frames": {"train": 70, "validation": 8, "without_person": 2}}
+    assert facts_of(blur, preprocess) == [
+        "70 frames train, 8 validate", "2 frames without a person left out",
+        "shutter open for 69 ms", "33 sub-frames averaged as linear light",
+        "interpolated frames match held-out ones at 41.7 dB",
+    ]  # fmt: skip
+    assert facts_of({}, {}) == []
+
+
+def test_the_chart_has_a_point_for_each_method_and_bounds_are_hollow():
+    scenes = {
+        "studio": {m: result("studio", m, p) for m, p in PSNR.items()},
+        "empty": {"blind": {}},
+    }
+    specification = speed_accuracy(scenes)
+    assert len(specification["hconcat"]) == 1
+    points = specification["hconcat"][0]["data"]["values"]
+    assert [point["method"] for point in points] == list(PSNR)
+    assert [point["bound"] for point in points] == [True, True, False, False]
+    assert points[3]["psnr_db"] == 25.0
+    picture = drawn(specification)
+    assert picture.startswith("<svg")
+    assert all(f">{method}<" in picture for method in PSNR)
+    assert drawn(specification) == picture

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+import torch
+
+from deblur_avatar.artifacts import Body
+from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.sources.studio.motion import Moves, move
+from deblur_avatar.sources.studio.person import Person, create_person
+
+TIMES = torch.tensor([0.0, 0.34, 0.9])
+
+
+@pytest.fixture(scope="module")
+def person(body: Body) -> Person:
+    return create_person(body, torch.tensor([0.5, -0.5]))
+
+
+def test_a_posed_person_stands_where_the_body_stands(person: Person):
+    moves = move("turn", TIMES, 1.0)
+    bodies = posed_vertices(
+        person.body, person.betas.double(), moves.global_orient, moves.body_pose, moves.transl
+    )
+    for clothed, bare in zip(person.posed(moves), bodies.numpy(), strict=True):
+        assert clothed.shape == person.drape.vertices.shape
+        np.testing.assert_allclose(clothed.min(0), bare.min(0), atol=0.05)
+        np.testing.assert_allclose(clothed.max(0), bare.max(0), atol=0.05)
+
+
+def test_moving_the_person_moves_every_point(person: Person):
+    moves = move("turn", TIMES[:1], 1.0)
+    shift = torch.tensor([[1.0, -2.0, 0.5]]).double()
+    there = Moves(moves.global_orient, moves.body_pose, moves.transl + shift)
+    (before,), (after,) = person.posed(moves), person.posed(there)
+    np.testing.assert_allclose(after - before, np.broadcast_to(shift, before.shape), atol=1e-5)
+
+
+def test_shape_reaches_the_clothes(body: Body, person: Person):
+    taller = create_person(body, torch.tensor([2.5, -0.5]))
+    ratio = np.ptp(taller.drape.vertices[:, 1]) / np.ptp(person.drape.vertices[:, 1])
+    assert ratio == pytest.approx(1.125 / 1.025, abs=0.01)
+
+
+def test_hollows_are_darker_than_what_lies_open(person: Person):
+    assert 0 < person.mesh.albedo.max() <= 1
+    bright = person.mesh.albedo[:, 0, 0].max(-1)
+    assert bright.min() < 0.3 * bright.max()
