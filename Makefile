@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: setup repro test bench deps clean-cache
+.PHONY: setup repro test bench deps readme clean-cache
 
 setup: $(STAMP)
 
@@ -37,3 +37,7 @@ bench: $(STAMP)
 # Writes into dvc.yaml which code each stage runs; a test compares.
 deps: $(STAMP)
 	$(BIN)/python -m tests.structure.import_closure --write
+
+# Copies reports/table.md into README.md; a test compares.
+readme: $(STAMP)
+	$(BIN)/python -m tests.structure.readme_table --write

@@ -151,10 +151,10 @@ class Clip(Artifact):
 
 @dataclass(frozen=True, kw_only=True)
 class BlurryClip(Artifact):
-    """Blurred frames of every recorded camera, the sharp ones at the same instants, and the shutter.
+    """Blurred frames of every recorded camera, the sharp ones at their middle, and the shutter.
 
-    Made by `blur`. `frame_indices` say which frames of the clip they are; frames whose window leaves
-    the clip are dropped. Mattes are averaged over the exposure as the light is.
+    Made by `blur`. `frame_indices` say which frames of the clip they are; frames whose window
+    leaves the clip are dropped. Mattes are averaged over the exposure as coverage, in either light.
     """
 
     schema: ClassVar[str] = "blurry_clip/1"
@@ -187,9 +187,10 @@ class BlurryClip(Artifact):
 class Observations(Artifact):
     """All that fitting sees: one camera's frames, soft mattes and poses. Made by `preprocess`.
 
-    Frames are undistorted, cropped to the person and scaled: crop `crops[c]` (x, y, width, height in
-    pixels of the clip) of camera c was scaled to `cameras.sizes[c]`. All frames of the clip are here,
-    so that poses are known throughout; only `train` are fitted and `validation` are set aside.
+    Frames are undistorted, cropped to the person and scaled: crop `crops[c]` (x, y, width, height
+    in pixels of the clip) of camera c was scaled to `cameras.sizes[c]`. All frames of the clip are
+    here, so that poses are known throughout; only `train` are fitted and `validation` are set
+    aside.
     `weights` are 0 for frames without a person.
     """
 
@@ -225,8 +226,8 @@ class Reference(Artifact):
 
     View v shows frame `frame_indices[v]` of the clip from camera `camera_indices[v]`;
     `novel_pose[v]` is 1 for frames kept from training. `seen` is 255 where the surface point behind
-    the pixel was seen by the training camera in some training frame. `motion` samples the true motion
-    at `motion_times`, densely enough to cover every exposure.
+    the pixel was seen by the training camera in some training frame. `motion` samples the true
+    motion at `motion_times`, densely enough to cover every exposure.
     """
 
     schema: ClassVar[str] = "reference/1"

@@ -63,8 +63,8 @@ BodyParams = Annotated[AnnyBodyParams | SmplBodyParams, Field(discriminator="sou
 class StudioParams(Params):
     """A synthetic person with exact truth.
 
-    `motion` names a motion of `sources/studio`; `window` sub-frames (480 a second) are averaged into
-    the true blur. Pose noise is correlated over `noise_correlation_s`.
+    `motion` names a motion of `sources/studio`; `window` sub-frames (480 a second) are averaged
+    into the true blur. Pose noise is correlated over `noise_correlation_s`.
     """
 
     source: Literal["studio"]
@@ -76,8 +76,8 @@ class StudioParams(Params):
     test_stride: Count
     window: Count
     samples_per_axis: Count  # rays a pixel is (samples_per_axis)^2
-    noise_degrees: NonNegative  # standard deviation per joint
-    noise_mm: NonNegative  # of the root
+    noise_degrees: NonNegative  # root mean square of each joint's angle of error
+    noise_mm: NonNegative  # root mean square of the root's distance from its place
     noise_correlation_s: NonNegative
     held_out: Fraction  # last part of the clip, kept from training
 
@@ -85,7 +85,8 @@ class StudioParams(Params):
 class MultiviewParams(Params):
     """Video files of several calibrated cameras.
 
-    `root` may hold `${VARIABLE:-default}`. `frame_offsets` are added to each camera's frame numbers.
+    `root` may hold `${VARIABLE:-default}`. `frame_offsets` are added to each camera's frame
+    numbers.
     """
 
     source: Literal["multiview"]
@@ -133,7 +134,7 @@ class PreprocessParams(Params):
 
 
 class ScheduleParams(Params):
-    """How much work a run is: when each stage ends, and how large the avatar and its pictures are."""
+    """How much work a run is: when each stage ends, how large avatar and pictures are."""
 
     warmup: Count  # iterations
     trajectory: Count
@@ -328,7 +329,11 @@ def load_params(path: Path, key: str, kind: Any) -> Any:
     Raises:
         ConfigError: naming the file, the key, what was wanted and what came.
     """
-    value = read_yaml(path)
+    return _section(read_yaml(path), path, key, kind)
+
+
+def _section(content: Any, path: Path, key: str, kind: Any) -> Any:
+    value = content
     for depth, name in enumerate(key.split(".")):
         if not isinstance(value, dict) or name not in value:
             above = ".".join(key.split(".")[:depth]) or "the file"
@@ -355,10 +360,11 @@ def check_parameters(path: Path) -> None:
         "runs": RunParams,
         "animations": AnimationParams,
     }
-    load_params(path, "seed", int)
+    _section(content, path, "seed", int)
     for section, kind in sections.items():
-        for name in load_params(path, section, dict):
-            load_params(path, f"{section}.{name}", kind)
+        for name in _section(content, path, section, dict):
+            _section(content, path, f"{section}.{name}", kind)
+    _section(content, path, f"schedules.{_section(content, path, 'schedule', str)}", dict)
     named = {"scene": "scenes", "start": "starts", "method": "methods"}
     for section in ("warmups", "runs"):
         for name, entry in content[section].items():

@@ -65,17 +65,24 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
 
     `DEBLUR_AVATAR_DEVICE` names the device; without it a GPU is used where there is one. Each stage
     and item derives its own seed, so adding a stage does not reshuffle the others.
+
+    Raises:
+        ConfigError: if there is no such device here.
     """
     derived = derive_seed(seed, name, item)
     default = "cuda" if torch.cuda.is_available() else "cpu"
-    device = torch.device(os.environ.get("DEBLUR_AVATAR_DEVICE", default))
+    try:
+        device = torch.device(os.environ.get("DEBLUR_AVATAR_DEVICE", default))
+        generator = torch.Generator(device=device).manual_seed(derived)
+    except RuntimeError as error:
+        raise ConfigError(f"DEBLUR_AVATAR_DEVICE: {error}") from error
     random.seed(derived)
     np.random.seed(derived)  # noqa: NPY002, third parties draw from it
     torch.manual_seed(derived)
     torch.use_deterministic_algorithms(True, warn_only=device.type != "cpu")
-    torch.utils.deterministic.fill_uninitialized_memory = False  # a debugging aid that costs time
+    # A debugging aid that costs time.
+    torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     _keep_freed_memory()
-    generator = torch.Generator(device=device).manual_seed(derived)
     logger.info("%s %s: start, device %s, seed %d", name, item, device, derived)
     begin = time.perf_counter()
     yield Context(device=device, generator=generator, seed=derived)

@@ -133,24 +133,26 @@ def painted(body: Body) -> Callable[..., AvatarModel]:
     return make
 
 
-@pytest.fixture
-def tiny_content() -> dict[str, Any]:
-    """What params.yaml holds, made so small that a whole fit takes a second."""
-    content = copy.deepcopy(read_yaml(Path(__file__).parents[1] / "params.yaml"))
+@pytest.fixture(scope="session")
+def tiny_parameters() -> dict[str, Any]:
+    """What params.yaml holds, made so small that a whole fit takes a second; not to be changed."""
+    content = read_yaml(Path(__file__).parents[1] / "params.yaml")
     model = content["starts"]["paper"]["model"]
     model["nonrigid"] = {"bins": 4, "hidden": [8], "codes": 2}
     model["skinning"] = {"hidden": [16], "pretrain": 20}
     model["color"] = {"features": 4, "hidden": [8], "latent": 2, "view_noise_degrees": 45.0}
-    content["methods"]["paper"]["fusion"]["network"] = {
-        "hidden": [8], "frame_codes": 4, "color_features": 4,
-    }  # fmt: skip
+    network = {"hidden": [8], "frame_codes": 4, "color_features": 4}
+    content["methods"]["paper"]["fusion"]["network"] = network
+    ends = {"warmup": 6, "trajectory": 12, "fusion": 18}
     content["schedule"] = "tiny"
-    content["schedules"] = {
-        "tiny": {
-            "warmup": 6, "trajectory": 12, "fusion": 18, "gaussians": 80, "image_height": SIZE,
-        }
-    }  # fmt: skip
+    content["schedules"] = {"tiny": ends | {"gaussians": 80, "image_height": SIZE}}
     return content
+
+
+@pytest.fixture
+def tiny_content(tiny_parameters: dict[str, Any]) -> dict[str, Any]:
+    """The same, one's own to change."""
+    return copy.deepcopy(tiny_parameters)
 
 
 @pytest.fixture

@@ -12,10 +12,8 @@ import tempfile
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int64
-from scipy.stats import norm, qmc
 from torch import Tensor
 
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES, SMPL_PARENTS, Body
@@ -133,8 +131,8 @@ def read_rig(model: Any) -> Rig:
 
 def population_coefficients(model: Any) -> Float[Tensor, "L M"]:
     """Sample the blend shape coefficients of `POPULATION` adults, the same ones every time."""
-    unit = qmc.Sobol(len(model.phenotype_labels), scramble=False).random(POPULATION)
-    unit = np.clip(unit, 0.5 / POPULATION, 1 - 0.5 / POPULATION)
+    sobol = torch.quasirandom.SobolEngine(len(model.phenotype_labels))
+    unit = sobol.draw(POPULATION, dtype=model.dtype).clamp(0.5 / POPULATION, 1 - 0.5 / POPULATION)
     columns = []
     for label, share in zip(model.phenotype_labels, unit.T, strict=True):
         if label in _UNIFORM:
@@ -142,9 +140,8 @@ def population_coefficients(model: Any) -> Float[Tensor, "L M"]:
             columns.append(low + (high - low) * share)
         else:
             centre, spread = _NORMAL[label]
-            columns.append(np.clip(norm.ppf(share, centre, spread), 0, 1))
-    phenotypes = torch.from_numpy(np.stack(columns, 1)).to(model.dtype)
-    return phenotype_coefficients(model, phenotypes)
+            columns.append((centre + spread * torch.special.ndtri(share)).clamp(0, 1))
+    return phenotype_coefficients(model, torch.stack(columns, 1))
 
 
 def phenotype_coefficients(model: Any, phenotypes: Float[Tensor, "L D"]) -> Float[Tensor, "L M"]:

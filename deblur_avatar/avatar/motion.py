@@ -144,29 +144,39 @@ class ClipMotion(Trajectory):
 
     def __init__(
         self,
+        u: Float[Tensor, " S"],
+        times: Float[Tensor, "F S_and_1"],
+        axis_angle: Float[Tensor, "K J 3"],
+        transl: Float[Tensor, "K 3"],
+    ) -> None:
+        """Take knots, and the times of each frame's instants and middle in units of their spacing."""
+        super().__init__()
+        self.register_buffer("u", u, persistent=False)
+        self.register_buffer("times", times)
+        self.axis_angle = nn.Parameter(axis_angle)
+        self.transl = nn.Parameter(transl)
+
+    @classmethod
+    def near(
+        cls,
         poses: Poses,
-        u: Tensor,
-        timestamps: Tensor,
+        u: Float[Tensor, " S"],
+        timestamps: Float[Tensor, " F"],
         exposure: float,
         knot_spacing: float,
         smoothness: float,
-    ) -> None:
-        super().__init__()
-        self.register_buffer("u", u, persistent=False)
+    ) -> "ClipMotion":
+        """The smoothest curve near given poses; exposure and knot spacing in seconds."""
         first = float(timestamps[0]) - exposure / 2
-        last = float(timestamps[-1]) + exposure / 2
-        count = max(round((last - first) / knot_spacing) + 1, 2)
-        spacing = (last - first) / (count - 1)
+        span = float(timestamps[-1]) + exposure / 2 - first
+        count = max(round(span / knot_spacing) + 1, 2)
+        spacing = span / (count - 1)
         inside = torch.cat([u, u.new_tensor([0.5])])
-        times = timestamps[:, None] + (inside - 0.5) * exposure
-        self.register_buffer("times", (times - first) / spacing, persistent=False)
-        middle = (timestamps - first) / spacing
+        times = (timestamps[:, None] + (inside - 0.5) * exposure - first) / spacing
         quats = _continuous(axis_angle_to_quat(_axis_angle(poses)))
-        smooth = fit_knots(quats.flatten(1), middle, count, smoothness).unflatten(1, (-1, 4))
-        self.axis_angle = nn.Parameter(
-            quat_to_axis_angle(nn.functional.normalize(smooth, dim=-1))
-        )
-        self.transl = nn.Parameter(fit_knots(poses.transl, middle, count, smoothness))
+        knots = fit_knots(quats.flatten(1), times[:, -1], count, smoothness).unflatten(1, (-1, 4))
+        axis_angle = quat_to_axis_angle(nn.functional.normalize(knots, dim=-1))
+        return cls(u, times, axis_angle, fit_knots(poses.transl, times[:, -1], count, smoothness))
 
     def forward(self, frame: int) -> Instants:
         """The piece of the trajectory that one exposure sees."""
@@ -203,7 +213,9 @@ def trajectory_from_artifact(motion: Motion) -> Trajectory:
     """
     if motion.kind == "pair":
         generator = torch.Generator()
-        trajectory = PairMotion(motion.centre, motion.u, 0.0, generator)
+        trajectory: Trajectory = PairMotion(motion.centre, motion.u, 0.0, generator)
+    elif motion.kind == "clip":
+        return ClipMotion(motion.u, **{k: v.clone() for k, v in motion.parameters.items()})
     elif motion.kind in ("frame", "fixed"):
         trajectory = FrameMotion(motion.centre, refined=motion.kind == "frame")
     else:

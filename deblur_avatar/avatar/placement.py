@@ -1,7 +1,7 @@
 """A moving body, put upright in front of the camera that filmed the person.
 
-Conventions. The stage is the person's own: +Y along the mean direction in which its head was up
-while it was filmed, +Z horizontally towards the camera, +X to the left of who faces the camera.
+Conventions. The stage is the person's own: +Y up, +Z horizontally towards the camera, +X to the
+left of who faces the camera.
 """
 
 import math
@@ -13,8 +13,15 @@ from torch import Tensor
 from deblur_avatar.artifacts import Body, Poses
 from deblur_avatar.avatar.body import posed_joints, shaped_joints
 from deblur_avatar.avatar.driving_motion import BodyMotion
-from deblur_avatar.geometry.cameras import camera_centres, crop_intrinsics, project
+from deblur_avatar.geometry.cameras import (
+    camera_centres,
+    crop_intrinsics,
+    look_at,
+    project,
+)
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+
+NEAR_AXIS = math.radians(30)  # a person leans less than that on average
 
 
 def stage_rotation(
@@ -22,11 +29,18 @@ def stage_rotation(
 ) -> Float[Tensor, "3 3"]:
     """Rotation `world_from_stage`, found from how the person stood while it was filmed.
 
+    Up is the axis of the world that is nearest to the mean direction of the person's own up, since
+    calibrations mostly have an axis along gravity and people lean; where none is within
+    `NEAR_AXIS` it is that mean direction.
+
     Raises:
         ValueError: if the camera looks straight down on the person or up at it.
     """
     up = axis_angle_to_matrix(filmed.global_orient)[..., 1].mean(0)
     up = torch.nn.functional.normalize(up, dim=0)
+    axis = torch.zeros_like(up)
+    axis[up.abs().argmax()] = up[up.abs().argmax()].sign()
+    up = axis if up @ axis > math.cos(NEAR_AXIS) else up
     towards = camera_centres(viewmat) - pelvis
     ahead = towards - (towards @ up) * up
     if ahead.norm() < 1e-3 * towards.norm():
@@ -60,9 +74,7 @@ def place(
     Raises:
         ValueError: as `stage_rotation`.
     """
-    anchor = posed_joints(
-        body, filmed.betas, filmed.global_orient, filmed.body_pose, filmed.transl
-    )[:, 0].mean(0)
+    anchor = mean_pelvis(body, filmed)
     world_from_stage = stage_rotation(filmed, anchor, viewmat)
     orientation = axis_angle_to_matrix(motion.global_orient)
     heading = -_heading(orientation[0])
@@ -77,6 +89,23 @@ def place(
         body_pose=motion.body_pose,
         transl=anchor + path - shaped_joints(body, filmed.betas)[0],
     )
+
+
+def level_view(body: Body, filmed: Poses, viewmat: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
+    """Turn a camera, where it stands, towards the person and upright.
+
+    Raises:
+        ValueError: as `stage_rotation`.
+    """
+    pelvis = mean_pelvis(body, filmed)
+    up = stage_rotation(filmed, pelvis, viewmat)[:, 1]
+    return look_at(camera_centres(viewmat), pelvis, up)
+
+
+def mean_pelvis(body: Body, filmed: Poses) -> Float[Tensor, " 3"]:
+    """Where the person was on average."""
+    poses = filmed.betas, filmed.global_orient, filmed.body_pose, filmed.transl
+    return posed_joints(body, *poses)[:, 0].mean(0)
 
 
 def about_y(angles: Float[Tensor, " F"]) -> Float[Tensor, "F 3 3"]:

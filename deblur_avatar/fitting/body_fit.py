@@ -77,9 +77,9 @@ class _Posed(NamedTuple):
     turn: Float[Tensor, "F 3"]
     body_pose: Float[Tensor, "F K 3"]
     transl: Float[Tensor, "F 3"]
+    transforms: Float[Tensor, "F J 4 4"]  # rest to posed
     joints: Float[Tensor, "F J 3"]
     landmarks: Float[Tensor, "F L 3"]
-    surface: Float[Tensor, "F P 3"]
 
 
 @dataclass(frozen=True)
@@ -262,22 +262,29 @@ def _spread_points(body: Body) -> _Surface:
 
 
 def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
-    body, surface = problem.body, problem.surface
+    body = problem.body
     turn, transl = problem.basis @ unknowns.turn, problem.basis @ unknowns.transl
     body_pose = (problem.basis @ unknowns.body_pose).unflatten(1, (-1, 3))
     joints = shaped_joints(body, unknowns.betas)
     orient = problem.orient @ axis_angle_to_matrix(turn)
     rotations = torch.cat([orient[:, None], axis_angle_to_matrix(body_pose)], dim=1)
     transforms = forward_kinematics(rotations, joints, transl, body.parents)
-    points = surface.points + surface.shape_dirs @ unknowns.betas
     return _Posed(
         turn=turn,
         body_pose=body_pose,
         transl=transl,
+        transforms=transforms,
         joints=(transforms[..., :3, :3] @ joints[..., None])[..., 0] + transforms[..., :3, 3],
         landmarks=problem.marks.positions(transforms, joints, unknowns.offsets),
-        surface=skin_points(points, surface.lbs_weights, transforms),
     )
+
+
+def _posed_surface(
+    problem: _Problem, betas: Float[Tensor, " B"], posed: _Posed
+) -> Float[Tensor, "F P 3"]:
+    surface = problem.surface
+    points = surface.points + surface.shape_dirs @ betas
+    return skin_points(points, surface.lbs_weights, posed.transforms)
 
 
 def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
@@ -301,9 +308,10 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         if step < COARSE_STEPS:
             loss = loss + _landmarks_in_space(problem, posed)
         else:
+            surface = _posed_surface(problem, unknowns.betas, posed)
             if (step - COARSE_STEPS) % MATCH_EVERY == 0:
-                partners = _partners(problem, posed)
-            loss = loss + _pictures(problem, posed, partners)
+                partners = _partners(problem, surface)
+            loss = loss + _pictures(problem, posed, surface, partners)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -325,7 +333,10 @@ def _landmarks_in_space(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
 
 
 def _pictures(
-    problem: _Problem, posed: _Posed, partners: list[Int64[Tensor, "F Q"]]
+    problem: _Problem,
+    posed: _Posed,
+    points: Float[Tensor, "F P 3"],
+    partners: list[Int64[Tensor, "F Q"]],
 ) -> Float[Tensor, ""]:
     """Landmarks, and outlines both ways, in every view."""
     total = posed.joints.new_zeros(())
@@ -337,7 +348,7 @@ def _pictures(
         squared = squared / (LANDMARK_SHARE * problem.extent) ** 2
         total = total + (problem.confidences[view] * _saturating(squared)).sum()
 
-        surface, _ = project(posed.surface, *camera)
+        surface, _ = project(points, *camera)
         spread = OUTLINE_SHARE * problem.extent
         outside = distance_outside(outlines.outside[view], surface) / spread
         partner = partners[view][..., None].expand(-1, -1, 2)
@@ -348,10 +359,9 @@ def _pictures(
     return total
 
 
-@torch.no_grad()
-def _partners(problem: _Problem, posed: _Posed) -> list[Int64[Tensor, "F Q"]]:
+def _partners(problem: _Problem, points: Float[Tensor, "F P 3"]) -> list[Int64[Tensor, "F Q"]]:
     return [
-        nearest_points(outline, project(posed.surface, K, viewmat)[0])
+        nearest_points(outline, project(points, K, viewmat)[0])
         for outline, K, viewmat in zip(
             problem.outlines.outline, problem.Ks, problem.viewmats, strict=True
         )

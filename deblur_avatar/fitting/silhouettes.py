@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Int64, UInt8
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 SHRINK = 4
@@ -55,7 +56,7 @@ def _measure(
     pieces = [piece[:, 0] for piece in found if len(piece) >= SHORTEST_OUTLINE * longest]
     points = np.concatenate(pieces)
     chosen = points[np.linspace(0, len(points) - 1, OUTLINE_POINTS).round().astype(int)]
-    smooth = cv2.GaussianBlur(matte.astype(np.float32), (0, 0), SHRINK)
+    smooth = cv2.blur(matte.astype(np.float32), (2 * SHRINK + 1, 2 * SHRINK + 1))
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1))]
     normals = -np.stack([slope[chosen[:, 1], chosen[:, 0]] for slope in slopes], axis=-1)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
@@ -74,9 +75,9 @@ def distance_outside(
     return sampled[:, 0, :, 0]
 
 
-@torch.no_grad()
 def nearest_points(
     outline: Float[Tensor, "F Q 2"], pixels: Float[Tensor, "F P 2"]
 ) -> Int64[Tensor, "F Q"]:
     """Which projected point is nearest to each outline point of one view."""
-    return torch.stack([torch.cdist(a, b).argmin(-1) for a, b in zip(outline, pixels, strict=True)])
+    pairs = zip(outline.numpy(), pixels.detach().numpy(), strict=True)
+    return torch.stack([torch.from_numpy(cKDTree(b).query(a)[1]) for a, b in pairs])

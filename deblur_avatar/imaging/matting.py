@@ -1,12 +1,16 @@
-"""How a person is lifted off the background, onto black.
+"""How a person is lifted off a background that stands still, onto black.
 
 Conventions. A picture is the person's light plus (1 - alpha) times the background's light, where
 alpha is the matte (coverage). `light` says in which space light adds up: `linear`, or sRGB values
 (as averaged by the paper). Pictures and mattes are 8 bits; the camera stands still.
 """
 
+from typing import NamedTuple
+
+import cv2
+import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
@@ -14,16 +18,21 @@ from deblur_avatar.imaging.exposure import Light
 
 BARE = 26  # matte, of 255: below it (10 %) a pixel is taken to show the background
 ENOUGH = 3  # frames that must show a pixel's background for it to be trusted
+NOISE, DISTINCT = 8.0, 24.0  # codes from the plate: surely the background, surely something else
+NEIGHBOURHOOD = 5  # pixels over which a difference is averaged; leaks narrower than it stay shut
 
 
-def background_plate(
-    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
-) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W"]]:
-    """Estimate what a still camera sees behind the person: the (lower) median of the bare frames.
+class Plate(NamedTuple):
+    """What a still camera sees behind the person."""
 
-    Returns:
-        The plate; and 255 where it is known: where the person is in some frame, and at least
-        `ENOUGH` frames are bare. Elsewhere the plate is 0.
+    picture: UInt8[Tensor, "H W 3"]  # 0 where not known
+    known: Bool[Tensor, "H W"]
+
+
+def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]) -> Plate:
+    """Estimate the background: the (lower) median of the frames that are bare of the person.
+
+    It is known where the person is in some frame and at least `ENOUGH` frames are bare.
     """
     bare = mattes < BARE
     wanted = (mattes > 0).any(0) & (bare.sum(0) >= ENOUGH)
@@ -31,16 +40,46 @@ def background_plate(
     # Sorted behind all others, what is not bare does not move the median of the rest.
     values = torch.where(bare[..., None], frames[:, wanted], 255).sort(dim=0).values
     middle = ((bare.sum(0) - 1) // 2)[None, :, None].expand(1, -1, 3)
-    plate = torch.zeros_like(frames[0])
-    plate[wanted] = values.gather(0, middle)[0]
-    return plate, wanted.to(torch.uint8) * 255
+    picture = torch.zeros_like(frames[0])
+    picture[wanted] = values.gather(0, middle)[0]
+    return Plate(picture, wanted)
+
+
+def trim_mattes(
+    frames: UInt8[Tensor, "F H W 3"],
+    mattes: UInt8[Tensor, "F H W"],
+    plate: Plate,
+) -> UInt8[Tensor, "F H W"]:
+    """Take those parts off mattes where a picture shows just the background.
+
+    Segmentation spills over the outline. What looks like the plate is trimmed if it is joined to
+    the outside: inside the person it is clothing of the background's colour.
+    """
+    pairs = zip(frames, mattes, strict=True)
+    return torch.stack([_trimmed(frame, matte, plate) for frame, matte in pairs])
+
+
+def _trimmed(
+    frame: UInt8[Tensor, "H W 3"],
+    matte: UInt8[Tensor, "H W"],
+    plate: Plate,
+) -> UInt8[Tensor, "H W"]:
+    alpha = matte.numpy()
+    difference = cv2.absdiff(frame.numpy(), plate.picture.numpy()).max(-1).astype(np.float32)
+    difference = cv2.blur(difference, (NEIGHBOURHOOD, NEIGHBOURHOOD))
+    share = ((difference - NOISE) / (DISTINCT - NOISE)).clip(0, 1)
+    share[~plate.known.numpy()] = 1
+    bare = ((share < 0.5) | (alpha < BARE)).astype(np.uint8)
+    bare = cv2.morphologyEx(bare, cv2.MORPH_OPEN, np.ones((NEIGHBOURHOOD, NEIGHBOURHOOD), np.uint8))
+    _, pieces = cv2.connectedComponents(cv2.copyMakeBorder(bare, 1, 1, 1, 1, 0, value=1))
+    outside = pieces[1:-1, 1:-1] == pieces[0, 0]
+    return torch.from_numpy(np.where(outside, np.rint(alpha * share), alpha).astype(np.uint8))
 
 
 def lift_person(
     frames: UInt8[Tensor, "F H W 3"],
     mattes: UInt8[Tensor, "F H W"],
-    plate: UInt8[Tensor, "H W 3"],
-    known: UInt8[Tensor, "H W"],
+    plate: Plate,
     light: Light,
 ) -> UInt8[Tensor, "F H W 3"]:
     """Take the background's share away: pictures of the person on black.
@@ -49,28 +88,31 @@ def lift_person(
     the background is taken to have the pixel's own colour, which multiplies it by alpha.
     """
     pairs = zip(frames, mattes, strict=True)
-    return torch.stack([_lift(frame, matte, plate, known, light) for frame, matte in pairs])
+    return torch.stack([_lift(frame, matte, plate, light) for frame, matte in pairs])
 
 
 def _lift(
     frame: UInt8[Tensor, "H W 3"],
     matte: UInt8[Tensor, "H W"],
-    plate: UInt8[Tensor, "H W 3"],
-    known: UInt8[Tensor, "H W"],
+    plate: Plate,
     light: Light,
 ) -> UInt8[Tensor, "H W 3"]:
-    alpha = (matte.float() / 255)[..., None]
-    behind = torch.where((known > 0)[..., None], plate, frame)
-    seen, hidden = _to_light(frame, light), _to_light(behind, light)
+    touched = matte > 0
+    alpha = (matte[touched].float() / 255)[:, None]
+    seen = _to_light(frame[touched], light)
+    hidden = _to_light(plate.picture[touched], light)
+    hidden = torch.where(plate.known[touched][:, None], hidden, seen)
     person = (seen - (1 - alpha) * hidden).clamp(min=0).minimum(alpha)
-    return _from_light(person, light)
+    lifted = torch.zeros_like(frame)
+    lifted[touched] = _from_light(person, light)
+    return lifted
 
 
-def _to_light(codes: UInt8[Tensor, "H W 3"], light: Light) -> Float[Tensor, "H W 3"]:
+def _to_light(codes: UInt8[Tensor, "P 3"], light: Light) -> Float[Tensor, "P 3"]:
     srgb = codes.float() / 255
     return srgb_to_linear(srgb) if light == "linear" else srgb
 
 
-def _from_light(values: Float[Tensor, "H W 3"], light: Light) -> UInt8[Tensor, "H W 3"]:
+def _from_light(values: Float[Tensor, "P 3"], light: Light) -> UInt8[Tensor, "P 3"]:
     srgb = linear_to_srgb(values) if light == "linear" else values
     return (srgb * 255).round().clamp(0, 255).to(torch.uint8)

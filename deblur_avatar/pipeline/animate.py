@@ -13,7 +13,7 @@ from torch import Tensor
 from deblur_avatar.artifacts import Avatar, Observations
 from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.avatar.placement import framed_intrinsics, place
+from deblur_avatar.avatar.placement import framed_intrinsics, level_view, place
 from deblur_avatar.config import AnimationParams, expand_environment
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.contact_sheets import contact_sheet
@@ -34,7 +34,7 @@ def animate(
     device: torch.device,
     progress: Callable[[Iterable[int], str], Iterable[int]],
 ) -> UInt8[Tensor, "F H W 3"]:
-    """Draw an avatar doing a motion, seen by its training camera's eye in a frame of its own.
+    """Draw an avatar doing a motion, seen from where its training camera stood.
 
     The person keeps its shape, stands where it was filmed and faces the camera at first.
 
@@ -52,7 +52,6 @@ def animate(
     """
     body, cameras = observations.body, observations.cameras
     filmed = dataclasses.replace(observations.poses, betas=avatar.betas)
-    viewmat = cameras.viewmats[observations.train_camera]
     motion = read_motion(
         expand_environment(params.motion, f"{where}.motion"),
         body,
@@ -62,6 +61,8 @@ def animate(
         seconds=params.seconds,
     )
     try:
+        # Only where the camera stands decides what it sees; real ones often hang askew.
+        viewmat = level_view(body, filmed, cameras.viewmats[observations.train_camera])
         poses = place(motion, body, filmed, viewmat, turns=params.turns, travel=params.travel)
         chosen = poses.at(range(0, len(poses.transl), -(-len(poses.transl) // FRAMING_POSES)))
         points = posed_vertices(

@@ -19,7 +19,7 @@ from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.evaluate import Comparison
 
-Picture = UInt8[np.ndarray, "H W 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 NOVEL_VIEWS, NOVEL_POSES = 6, 2  # columns of the strip
 SIDES = 8  # of the turntable

@@ -33,7 +33,7 @@ def fuse(
         ConfigError: if fusion is asked for without its network, or of an avatar without pose code.
     """
     model = AvatarModel.from_artifact(avatar, observations.body, device)
-    trajectory = trajectory_from_artifact(motion, observations.exposure).to(device)
+    trajectory = trajectory_from_artifact(motion).to(device)
     network = None
     if params.supervision == "fused":
         if params.network is None or start.model.nonrigid is None:

@@ -23,7 +23,7 @@ from deblur_avatar.fitting.fit_quality import measure_fit
 from deblur_avatar.fitting.landmarks import Landmarks, PersonDetector
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.exposure import Light, frames_before
-from deblur_avatar.imaging.matting import background_plate, lift_person
+from deblur_avatar.imaging.matting import background_plate, lift_person, trim_mattes
 from deblur_avatar.imaging.resampling import (
     Crop,
     crop_and_scale,
@@ -84,7 +84,7 @@ def preprocess(
     row = clip.recorded.index(clip.train_camera)
     people: list[Landmarks] = []
     if "estimated" in (params.masks, params.poses):
-        people = [detect(frames) for frames in clip.frames]
+        people = [_person(frames, params, detect) for frames in clip.frames]
     mattes, sharp_mattes = _mattes(clip, row, params, people, detect)
     shown = _frames_with_person(mattes, sharp_mattes)
     fit: dict[str, Any] = {}
@@ -101,7 +101,7 @@ def preprocess(
 
     def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
         if plate is not None:
-            frames = lift_person(frames, mattes, *plate, cast(Light, clip.light))
+            frames = lift_person(frames, mattes, plate, cast(Light, clip.light))
         return crop_and_scale(frames, crop, size), crop_and_scale(mattes, crop, size)
 
     train, validation = _split(clip, shown, params.validation_stride)
@@ -166,6 +166,17 @@ def _straightened(clip: BlurryClip) -> BlurryClip:
     )
 
 
+def _person(
+    frames: UInt8[Tensor, "F H W 3"], params: PreprocessParams, detect: PersonDetector
+) -> Landmarks:
+    """Whom a detector finds, the mattes trimmed where the background is known."""
+    person = detect(frames)
+    if params.background == "none":
+        return person
+    plate = background_plate(frames, person.mattes)
+    return replace(person, mattes=trim_mattes(frames, person.mattes, plate))
+
+
 def _mattes(
     clip: BlurryClip,
     row: int,
@@ -180,7 +191,7 @@ def _mattes(
         return clip.mattes[row], clip.sharp_mattes
     if clip.sharp_frames is None:
         return people[row].mattes, None
-    return people[row].mattes, detect(clip.sharp_frames).mattes
+    return people[row].mattes, _person(clip.sharp_frames, params, detect).mattes
 
 
 def _checked(poses: Poses | None, name: str, body: Body) -> Poses:

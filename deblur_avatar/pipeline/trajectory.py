@@ -59,7 +59,7 @@ def new_trajectory(
             )
         frame = float(observations.timestamps.diff().median())
         u = instants(params.virtual_poses, params.quadrature)
-        return ClipMotion(
+        return ClipMotion.near(
             poses, u, observations.timestamps, observations.exposure,
             params.knot_frames * frame, params.smoothness,
         )  # fmt: skip

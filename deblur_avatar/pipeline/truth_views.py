@@ -8,6 +8,7 @@ training camera saw in some training frame, since no method can know an unseen b
 import logging
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
@@ -119,7 +120,10 @@ def size_of(observations: Observations, camera: int) -> tuple[int, int]:
 def _seen_masks(
     observations: Observations, reference: Reference, chosen: list[tuple[int, int, bool]]
 ) -> list[Bool[Tensor, "H W"]]:
-    """As the source knows it, or else from the body that `preprocess` fitted."""
+    """As the source knows it, or else from the body that `preprocess` fitted.
+
+    Hair and clothes stand out from that body: beside it the nearest of its pixels decides.
+    """
     cameras = reference.camera_indices.tolist()
     if reference.seen is not None:
         return [_cut(observations, cameras[v], reference.seen[v]) > HALF for v, _, _ in chosen]
@@ -127,12 +131,24 @@ def _seen_masks(
     vertices = _vertices(observations)
     training = [vertices[position] for position in observations.train]
     cells = seen_cells(training, faces, _view(observations, observations.train_camera), SEEN_CELLS)
-    return [
-        torch.from_numpy(
-            seen_pixels(vertices[position], faces, _view(observations, cameras[view]), cells)
-        )
-        for view, position, _ in run.progress(chosen, "seen surface")
-    ]
+    masks = []
+    for view, position, _ in run.progress(chosen, "seen surface"):
+        camera = _view(observations, cameras[view])
+        body = seen_pixels(vertices[position], faces, camera, np.ones_like(cells))
+        masks.append(_spread(seen_pixels(vertices[position], faces, camera, cells), body))
+    return masks
+
+
+def _spread(seen: Bool[np.ndarray, "H W"], body: Bool[np.ndarray, "H W"]) -> Bool[Tensor, "H W"]:
+    """Give every pixel the value of the nearest pixel of the body."""
+    if not body.any():
+        return torch.from_numpy(seen)
+    _, labels = cv2.distanceTransformWithLabels(
+        (~body).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    value_of_label = np.zeros(int(labels.max()) + 1, bool)
+    value_of_label[labels[body]] = seen[body]
+    return torch.from_numpy(value_of_label[labels])
 
 
 def _vertices(observations: Observations) -> list[np.ndarray]:

@@ -17,7 +17,7 @@ from torch import Tensor
 from deblur_avatar.artifacts import Cameras, Clip, Reference
 from deblur_avatar.config import MultiviewParams, expand_environment
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.imaging.matting import background_plate, lift_person
+from deblur_avatar.imaging.matting import background_plate, lift_person, trim_mattes
 from deblur_avatar.imaging.resampling import undistort
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.video_files import Video, read_video
@@ -159,8 +159,9 @@ def _reference(clip: Clip, stride: int, segment: Segment) -> Reference:
         frames = undistort(clip.frames[row], *lens)
         found = segment(frames)
         plate = background_plate(frames, found)
-        images.append(lift_person(frames[chosen], found[chosen], *plate, "srgb"))
-        mattes.append(found[chosen])
+        trimmed = trim_mattes(frames[chosen], found[chosen], plate)
+        images.append(lift_person(frames[chosen], trimmed, plate, "srgb"))
+        mattes.append(trimmed)
         cameras.append(torch.full((len(chosen),), camera))
     frame_indices = chosen.repeat(len(images))
     return Reference(

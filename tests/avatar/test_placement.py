@@ -1,11 +1,18 @@
+import math
+
 import pytest
 import torch
 
 from deblur_avatar.artifacts import Poses
 from deblur_avatar.avatar.body import posed_joints, posed_vertices
 from deblur_avatar.avatar.driving_motion import BodyMotion
-from deblur_avatar.avatar.placement import framed_intrinsics, place, stage_rotation
-from deblur_avatar.geometry.cameras import look_at, project
+from deblur_avatar.avatar.placement import (
+    framed_intrinsics,
+    level_view,
+    place,
+    stage_rotation,
+)
+from deblur_avatar.geometry.cameras import camera_centres, look_at, project
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_matrix,
     matrix_to_axis_angle,
@@ -50,6 +57,28 @@ def test_the_stage_stands_as_the_person_did_and_faces_the_camera(filmed):
     assert rotation[2, 1] > 0.999  # up
     expected = torch.nn.functional.normalize(torch.tensor([4.0, 3.0, 0.0]), dim=0)
     torch.testing.assert_close(rotation[:, 2], expected, atol=0.02, rtol=0)
+
+
+def leaned(filmed, rotation):
+    turned = axis_angle_to_matrix(torch.tensor(rotation)) @ axis_angle_to_matrix(
+        filmed.global_orient
+    )
+    return Poses(
+        betas=filmed.betas, global_orient=matrix_to_axis_angle(turned),
+        body_pose=filmed.body_pose, transl=filmed.transl,
+    )  # fmt: skip
+
+
+def test_who_leans_a_little_all_the_time_still_stands_upright_on_the_stage(filmed):
+    rotation = stage_rotation(leaned(filmed, [0.35, 0.0, 0.0]), PERSON, VIEW)
+    torch.testing.assert_close(rotation[:, 1], torch.tensor([0.0, 0.0, 1.0]))
+
+
+def test_in_a_world_without_a_vertical_axis_up_is_where_the_head_was(filmed):
+    angle = 0.7
+    rotation = stage_rotation(leaned(filmed, [angle, 0.0, 0.0]), PERSON, VIEW)
+    up = torch.tensor([0.0, -math.sin(angle), math.cos(angle)])
+    torch.testing.assert_close(rotation[:, 1], up, atol=0.02, rtol=0)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, 3.0, -2.0])
@@ -98,7 +127,7 @@ def test_a_lean_against_the_vertical_stays(body, filmed):
 
 
 def test_moving_world_and_camera_together_moves_the_result_with_them(body, filmed):
-    rotation = axis_angle_to_matrix(torch.tensor([0.3, -0.7, 0.4]))
+    rotation = axis_angle_to_matrix(torch.tensor([torch.pi / 2, 0.0, 0.0]))  # axis to axis
     shift = torch.tensor([0.5, -2.0, 1.0])
     rest = body.joints[0] + body.joint_dirs[0] @ filmed.betas
     elsewhere = Poses(
@@ -131,6 +160,18 @@ def test_the_frame_holds_the_person_with_its_margin(body, filmed):
     longer = float((high - low).max())
     assert longer == pytest.approx(64 / 1.2, abs=0.1)
     torch.testing.assert_close((low + high) / 2, torch.tensor([32.0, 32.0]), atol=0.1, rtol=0)
+
+
+def test_a_camera_that_hangs_askew_is_set_upright_where_it_stands(body, filmed):
+    roll = torch.eye(4)
+    roll[:3, :3] = axis_angle_to_matrix(torch.tensor([0.1, -0.2, 0.5]))
+    level = level_view(body, filmed, roll @ VIEW)
+    torch.testing.assert_close(camera_centres(level), camera_centres(VIEW), atol=1e-4, rtol=0)
+    line = torch.stack([PERSON + torch.tensor([0.0, 0, h]) for h in (-0.5, 0.0, 0.5)])
+    pixels, _ = project(line, K, level)
+    torch.testing.assert_close(pixels[:, 0], K[0, 2].expand(3), atol=0.5, rtol=0)
+    assert pixels[0, 1] > pixels[2, 1]
+    torch.testing.assert_close(pixels[1], K[:2, 2], atol=0.5, rtol=0)
 
 
 def test_a_camera_above_the_head_has_no_side_in_front(filmed):

@@ -56,9 +56,7 @@ def test_gradients_are_exact_at_the_identity_too():
     assert torch.autograd.gradcheck(axis_angle_to_matrix, still)
     moving = RANDOM[:3].clone().requires_grad_()
     assert torch.autograd.gradcheck(axis_angle_to_matrix, moving)
-    assert torch.autograd.gradcheck(
-        lambda x: quat_to_axis_angle(axis_angle_to_quat(x)), (moving,)
-    )
+    assert torch.autograd.gradcheck(lambda x: quat_to_axis_angle(axis_angle_to_quat(x)), (moving,))
 
 
 def test_slerp_starts_at_the_start_and_ends_at_the_end_at_constant_speed():

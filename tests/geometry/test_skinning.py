@@ -15,9 +15,7 @@ JOINTS = torch.tensor([[0.0, 1, 0], [0, 2, 0], [0, 3, 0], [1, 1, 0], [2, 1, 0]])
 
 def random_rotations(seed=0, batch=()):
     generator = torch.Generator().manual_seed(seed)
-    return axis_angle_to_matrix(
-        torch.randn(*batch, 5, 3, generator=generator, dtype=torch.float64)
-    )
+    return axis_angle_to_matrix(torch.randn(*batch, 5, 3, generator=generator, dtype=torch.float64))
 
 
 def one_by_one(rotations, joints, transl):
@@ -98,6 +96,4 @@ def test_gradients_reach_rotations_joints_and_translation():
 
 def test_a_child_before_its_parent_is_refused():
     with pytest.raises(ValueError, match="parents must come first"):
-        forward_kinematics(
-            torch.eye(3).expand(2, 3, 3), torch.zeros(2, 3), torch.zeros(3), (1, -1)
-        )
+        forward_kinematics(torch.eye(3).expand(2, 3, 3), torch.zeros(2, 3), torch.zeros(3), (1, -1))

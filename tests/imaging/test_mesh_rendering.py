@@ -82,6 +82,22 @@ def test_light_falls_off_with_the_cosine():
     assert picture.light[6, 6, 0] == pytest.approx(0.1 + 0.5 * 2**-0.5, abs=1e-6)
 
 
+def test_shade_runs_straight_from_vertex_to_vertex():
+    # A roof whose ridge stands over x = 0; from there the light of a lamp on the right grows.
+    roof = np.array([[x, y, 0.5 * (1 - abs(x))] for x in (-1, 0, 1) for y in (-1, 1)], np.float32)
+    faces = np.array([[0, 2, 1], [1, 2, 3], [4, 5, 2], [5, 3, 2]], np.int32)
+    mesh = TexturedMesh(faces, np.ones((4, 1, 1, 3), np.float32))
+    lamp = Lighting(ambient=0.0, sky=0.0, lamps=(((1.0, 0.0, 0.0), 1.0),))
+    shade = render(roof, mesh, view(48, 1, 48.0), lamp).light[14:34, :, 0]
+    np.testing.assert_allclose(shade[:, 10:24], 0, atol=1e-6)  # the left slope
+    right = shade[:, 25:35]
+    assert np.ptp(right, axis=0).max() < 1e-5  # the same from top to bottom
+    focal, ridge = 48.0, 0.5
+    across = (np.arange(25, 35) + 0.5 - 24) / focal  # x of the roof: x / (4 - z) = across
+    x = across * (4 - ridge) / (1 - ridge * across)
+    np.testing.assert_allclose(right[0], x / 5**0.5, atol=1e-5)
+
+
 def test_the_sky_lights_what_faces_up():
     sky = Lighting(ambient=0.0, sky=1.0, lamps=())
     up, wall, down = np.float32([[0, 1, 0], [1, 0, 0], [0, -1, 0]])

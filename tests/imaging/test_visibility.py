@@ -45,6 +45,18 @@ def test_what_hides_behind_something_is_not_seen():
     assert not seen[:-1].any()
 
 
+def test_what_is_seen_edge_on_or_from_behind_is_not_seen():
+    sheet = np.float32([[-1, -1, 0], [1, -1, 0], [0, 1, 0]])
+    faces = np.int32([[0, 1, 2]])
+
+    def seen_at(degrees: float) -> bool:
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        turned = 0.01 * sheet @ np.float32([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+        return bool(seen_cells([turned], faces, view(), 1).any())
+
+    assert [seen_at(angle) for angle in (0, 82, 87, 180)] == [True, True, False, False]
+
+
 def test_what_lies_outside_the_image_is_not_seen():
     seen = seen_cells([VERTICES + np.float32([0, 2, 0])], FACES, view(focal=80.0), 1)[:, 0, 0]
     assert 0 < seen.sum() < seen_cells([VERTICES], FACES, view(), 1).sum()

@@ -82,9 +82,3 @@ def test_an_even_window_ends_with_one_line_and_no_output(tmp_path):
     assert "ConfigError: blur.window: a window centred on a frame is odd, got 4" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "blur").exists()
-
-
-def test_a_missing_clip_is_one_clear_error(tmp_path):
-    done = run_stage(tmp_path, PARAMS)
-    assert done.returncode == 1
-    assert f"ArtifactError: no clip/1 in {tmp_path / 'clip' / 'clip'}" in done.stderr

@@ -365,7 +365,7 @@ inline void store_rows(float* to, int64_t rows, const vf* from) {
   }
 }
 
-inline void load_covars(const Frame& f, int64_t pose, int64_t i, int64_t rows, vf* s) {
+__attribute__((noinline)) void load_covars(const Frame& f, int64_t pose, int64_t i, int64_t rows, vf* s) {
   const float* from = f.covars + ((f.covars_shared ? 0 : pose * f.gaussians) + i) * f.covar_columns;
   if (f.covar_columns == 6) return load_rows<6>(from, rows, s);
   vf whole[9];
@@ -497,13 +497,24 @@ int project_chunk(const Frame& f, const Camera& cam, int64_t pose, int64_t begin
       for (int k = 0; k < count; ++k)
         store((float*)(records + k) + group * L, column[group * L + k]);
     }
-    const vi key = (vi)p.z;
+    const vi columns_y = y1 - y0, columns_x = x1 - x0;
+    vf place[4] = {p.z, (vf)(x0 | y0 << 16), (vf)(x1 | y1 << 16), (vf)slot};
+    transpose_in_rows(place, place);
+    for (int k = 0; k < count; ++k)
+      std::memcpy(placements + k, (const char*)(place + k % 4) + k / 4 * 16, 16);
+    std::memcpy(f.radii + pose * N + i, &radius, sizeof(int32_t) * count);
     for (int k = 0; k < count; ++k) {
-      placements[k] = {(uint32_t)key[k],  (int16_t)x0[k], (int16_t)y0[k],
-                       (int16_t)x1[k], (int16_t)y1[k], slot[k]};
-      f.radii[pose * N + i + k] = radius[k];
-      for (int ty = y0[k]; ty < y1[k]; ++ty)
-        for (int tx = x0[k]; tx < x1[k]; ++tx) ++histogram[ty * f.tiles_x + tx];
+      int32_t* const first = histogram + y0[k] * f.tiles_x + x0[k];
+      if (columns_x[k] <= 2 && columns_y[k] <= 2) {  // nearly always, and then without a branch
+        const int64_t right = columns_x[k] == 2, below = columns_y[k] == 2 ? f.tiles_x : 0;
+        first[0] += columns_x[k] > 0;
+        first[right] += columns_x[k] == 2;
+        first[below] += columns_y[k] == 2;
+        first[below + right] += (columns_x[k] == 2) & (columns_y[k] == 2);
+      } else {
+        for (int ty = 0; ty < columns_y[k]; ++ty)
+          for (int tx = 0; tx < columns_x[k]; ++tx) ++first[ty * f.tiles_x + tx];
+      }
     }
   }
   return (any(bad_mean) ? MEANS : 0) | (any(bad_covar) ? COVARS : 0) |
@@ -1005,6 +1016,7 @@ void differentiate_tile(const Frame& f, int64_t busy, int64_t first_slot) {
   Segment segment;
   Record* const records = segment.records;
   alignas(64) float sums[(SEGMENT + 1) * 16];
+  float* slots[SEGMENT];
   vf value_grad[BLOCKS][V], through[BLOCKS], rest[BLOCKS];
   load_gradients<V>(f, tile, f.states + busy * BLOCKS * (V + 1) * L, value_grad, rest);
   for (int k = 0; k < BLOCKS; ++k) through[k] = splat(1.0f);
@@ -1014,22 +1026,24 @@ void differentiate_tile(const Frame& f, int64_t busy, int64_t first_slot) {
     const int32_t* const numbers = f.sorted + begin + done;
     std::memset(sums, 0, sizeof(float) * 16 * m);
     copy_records(all, numbers, m, records);
+    for (int j = 0; j < m; ++j) {
+      const Record& r = records[j];
+      const int64_t slot = chunk_slot[numbers[j] >> f.chunk_shift] + r.slot +
+                           (tile_y - r.tile_y) * r.tile_columns + (tile_x - r.tile_x);
+      slots[j] = f.slots + (slot - first_slot) * SLOT<V>;
+      __builtin_prefetch(slots[j], 1);
+    }
     if (done < composited) {
       const Visits* const visits = f.visits + begin / GROUP + busy + done / GROUP;
       for (int k = 0; k < BLOCKS; ++k)
         differentiate_block<V>(records, visits, (m + GROUP - 1) / GROUP, k, grid.x + Grid::dx(k),
                                grid.y + Grid::dy(k), value_grad[k], through[k], rest[k], sums);
     }
-    for (int j = 0; j < m; ++j) {
-      const Record& r = records[j];
-      const int64_t slot = chunk_slot[numbers[j] >> f.chunk_shift] + r.slot +
-                           (tile_y - r.tile_y) * r.tile_columns + (tile_x - r.tile_x);
-      std::memcpy(f.slots + (slot - first_slot) * SLOT<V>, sums + j * 16, sizeof(float) * SLOT<V>);
-    }
+    for (int j = 0; j < m; ++j) std::memcpy(slots[j], sums + j * 16, sizeof(float) * SLOT<V>);
   }
 }
 
-inline void store_covar_grads(const Frame& f, int64_t row, int64_t rows, const vf* g) {
+__attribute__((noinline)) void store_covar_grads(const Frame& f, int64_t row, int64_t rows, const vf* g) {
   if (f.covar_columns == 6) {  // each of the off-diagonal numbers stands for two entries
     const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
     store_rows<6>(f.covars_grad + row * 6, rows, six);
@@ -1046,7 +1060,7 @@ inline void add_rows(float* to, int rows, int columns, bool add, const vf* from)
       to[k * columns + c] = (add ? to[k * columns + c] : 0.0f) + from[c][k];
 }
 
-inline void add_shared_covars(const Frame& f, int64_t i, int rows, bool add, const vf* g) {
+__attribute__((noinline)) void add_shared_covars(const Frame& f, int64_t i, int rows, bool add, const vf* g) {
   if (f.covar_columns == 6) {
     const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
     add_rows(f.covars_grad + i * 6, rows, 6, add, six);
@@ -1056,34 +1070,42 @@ inline void add_shared_covars(const Frame& f, int64_t i, int rows, bool add, con
   }
 }
 
-// Add up the slots of L Gaussians and carry them back through the projection, for poses [p0, p1).
+// Add up the slots of L Gaussians of one pose; returns which have any.
 template <int V>
+inline vi sum_slots(const Placement* placements, const float* slots, int count, vf* sums) {
+  alignas(64) float rows[L][16] = {};
+  vi seen = {};
+  for (int k = 0; k < count; ++k) {
+    const Placement p = placements[k];
+    const int n = (p.x1 - p.x0) * (p.y1 - p.y0);
+    const float* from = slots + (int64_t)p.slot * SLOT<V>;
+    float sum[SLOT<V>] = {};
+    for (int j = 0; j < n; ++j, from += SLOT<V>)
+      for (int q = 0; q < SLOT<V>; ++q) sum[q] += from[q];
+    std::memcpy(rows[k], sum, sizeof sum);
+    seen[k] = n ? -1 : 0;
+  }
+  for (int part = 0; part < 16 / L; ++part) {
+    for (int k = 0; k < L; ++k) sums[part * L + k] = load(rows[k] + part * L);
+    transpose(sums + part * L);
+  }
+  return seen;
+}
+
+// Add up the slots of L Gaussians and carry them back through the projection, for poses [p0, p1).
 void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t p0, int64_t p1,
             int64_t first_slot) {
   const int64_t N = f.gaussians, C = f.channels;
+  const int V = values_of(f) <= 3 ? 3 : 5;
   const int count = (int)std::min<int64_t>(rows, L);
   vf opacity[1], opacity_grad = splat(0.0f), color_grad[MAX_VALUES] = {}, shared_grad[6] = {};
   load_rows<1>(f.opacities + i, rows, opacity);
   for (int64_t pose = p0; pose < p1; ++pose) {
-    alignas(64) float sums[L][16];
     const Placement* const placements = f.placements + pose * N + i;
     const int64_t chunk = f.chunk_slot[pose * (f.chunks + 1) + (i >> f.chunk_shift)] - first_slot;
-    vi seen = {};
-    for (int k = 0; k < count; ++k) {
-      const Placement p = placements[k];
-      const int slots = (p.x1 - p.x0) * (p.y1 - p.y0);
-      const float* from = f.slots + (chunk + p.slot) * SLOT<V>;
-      float sum[SLOT<V>] = {};
-      for (int j = 0; j < slots; ++j, from += SLOT<V>)
-        for (int q = 0; q < SLOT<V>; ++q) sum[q] += from[q];
-      std::memcpy(sums[k], sum, sizeof sum);
-      seen[k] = slots ? -1 : 0;
-    }
     vf s[16], grad[3] = {}, covar_grad[6] = {}, pull[2] = {}, abs_pull[2] = {};
-    for (int part = 0; part < (SLOT<V> + L - 1) / L; ++part) {
-      for (int k = 0; k < L; ++k) s[part * L + k] = k < count ? load(sums[k] + part * L) : vf{};
-      transpose(s + part * L);
-    }
+    const vi seen = V == 3 ? sum_slots<3>(placements, f.slots + chunk * SLOT<3>, count, s)
+                           : sum_slots<5>(placements, f.slots + chunk * SLOT<5>, count, s);
     if (any(seen)) {
       vf mean[3], covar[6];
       load_rows<3>(f.means + (pose * N + i) * 3, rows, mean);
@@ -1163,7 +1185,7 @@ void differentiate(const Frame& f) {
         differentiate_tile<V>(f, i, first_slot);
 #pragma omp for schedule(static)
       for (int64_t i = 0; i < groups_of_lanes; ++i)
-        gather<V>(f, cam, i * L, f.gaussians - i * L, p0, p1, first_slot);
+        gather(f, cam, i * L, f.gaussians - i * L, p0, p1, first_slot);
     }
   }
 }

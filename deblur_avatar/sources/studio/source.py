@@ -6,7 +6,8 @@ background is black. Everything drawn is an instant: blur is the mean of instant
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -39,6 +40,22 @@ LIGHTING = Lighting(
 BETAS = (-0.3, 0.6, -0.4, 0.5, 0.3)  # a lean person; further shape numbers are 0
 
 
+@dataclass(frozen=True)
+class Scene:
+    """All that is decided before the first picture is taken."""
+
+    params: StudioParams
+    person: Person
+    cameras: Cameras
+    timestamps: Float[Tensor, " F"]
+    true: Moves  # at timestamps
+    subtimes: Float[Tensor, " M"]
+    fine: Moves  # at subtimes
+    held_out_from: int
+    training: tuple[int, ...]  # frames whose whole exposure lies in the training part
+    testing: tuple[int, ...]  # frames of the test views
+
+
 def load_studio(
     params: StudioParams, body: Body, generator: torch.Generator
 ) -> tuple[Clip, Reference]:
@@ -56,61 +73,36 @@ def load_studio(
         ConfigError: if the clip is too short for its blur window, nothing is left for training, or
             the motion is not known.
     """
+    scene = set_scene(params, body)
+    return _film_clip(scene, generator), _film_reference(scene)
+
+
+def set_scene(params: StudioParams, body: Body) -> Scene:
+    """Dress the person, place the cameras and rehearse the motion.
+
+    Raises:
+        ConfigError: as `load_studio`.
+    """
     timestamps = torch.arange(params.frames, dtype=torch.float64) / params.fps
+    instants = SUBFRAMES * (params.frames - 1) + 1
+    subtimes = torch.arange(instants, dtype=torch.float64) / (SUBFRAMES * params.fps)
     held_out_from = max(1, round(params.frames * (1 - params.held_out)))
     training, testing = _split(params, timestamps, held_out_from)
+    training_seconds = held_out_from / params.fps
     betas = torch.zeros(body.shape_dirs.shape[2])
     betas[: len(BETAS)] = torch.tensor(BETAS)[: len(betas)]
-    person = create_person(body, betas)
-    cameras = place_cameras(params.test_cameras, params.image_size)
-
-    def moves_at(times: Float[Tensor, " M"]) -> Moves:
-        return move(params.motion, times, held_out_from / params.fps)
-
-    true, subtimes = moves_at(timestamps), _subframe_times(params)
-    fine = moves_at(subtimes)
-    frames, in_srgb, in_linear = _film(params, person, fine, cameras)
-    initial = disturb(
-        true,
-        timestamps,
-        params.noise_degrees,
-        params.noise_mm,
-        params.noise_correlation_s,
-        generator,
-    )
-    clip = Clip(
-        frames=frames[None, ..., :3],
-        mattes=frames[None, ..., 3],
-        recorded=(0,),
-        train_camera=0,
-        cameras=cameras,
-        timestamps=timestamps.float(),
-        blurred=False,
-        exposure=0.0,
-        light="linear",
+    return Scene(
+        params=params,
+        person=create_person(body, betas),
+        cameras=place_cameras(params.test_cameras, params.image_size),
+        timestamps=timestamps,
+        true=move(params.motion, timestamps, training_seconds),
+        subtimes=subtimes,
+        fine=move(params.motion, subtimes, training_seconds),
         held_out_from=held_out_from,
-        initial=_poses(initial, betas),
-        exact=_poses(true, betas),
-        true_blur_srgb=in_srgb[..., :3],
-        true_blur_linear=in_linear[..., :3],
-        true_blur_mattes=in_linear[..., 3],
-        frame_indices=tuple(frames_with_whole_window(params.frames, SUBFRAMES, params.window)),
-        true_blur_exposure=exposure_seconds(params.window, SUBFRAMES, params.fps),
+        training=training,
+        testing=testing,
     )
-    images, seen = _film_tests(params, person, true, training, testing, cameras)
-    shown = torch.tensor(testing).repeat(params.test_cameras)
-    reference = Reference(
-        images=images[..., :3],
-        mattes=images[..., 3],
-        seen=seen,
-        camera_indices=torch.arange(1, params.test_cameras + 1).repeat_interleave(len(testing)),
-        frame_indices=shown,
-        novel_pose=(shown >= held_out_from).long(),
-        background=(0.0, 0.0, 0.0),
-        motion_times=subtimes.float(),
-        motion=_poses(fine, betas),
-    )
-    return clip, reference
 
 
 def _split(
@@ -134,57 +126,91 @@ def _split(
     return training, training[:: params.test_stride] + held_out[:: params.test_stride]
 
 
-def _subframe_times(params: StudioParams) -> Float[Tensor, " M"]:
-    count = SUBFRAMES * (params.frames - 1) + 1
-    return torch.arange(count, dtype=torch.float64) / (SUBFRAMES * params.fps)
+def _film_clip(scene: Scene, generator: torch.Generator) -> Clip:
+    """What the training camera takes, and the poses that fitting starts from."""
+    params, betas = scene.params, scene.person.betas
+    frames, in_srgb, in_linear = _film_training(scene)
+    initial = disturb(
+        scene.true,
+        scene.timestamps,
+        params.noise_degrees,
+        params.noise_mm,
+        params.noise_correlation_s,
+        generator,
+    )
+    return Clip(
+        frames=frames[None, ..., :3],
+        mattes=frames[None, ..., 3],
+        recorded=(0,),
+        train_camera=0,
+        cameras=scene.cameras,
+        timestamps=scene.timestamps.float(),
+        blurred=False,
+        exposure=0.0,
+        light="linear",
+        held_out_from=scene.held_out_from,
+        initial=_poses(initial, betas),
+        exact=_poses(scene.true, betas),
+        true_blur_srgb=in_srgb[..., :3],
+        true_blur_linear=in_linear[..., :3],
+        true_blur_mattes=in_linear[..., 3],
+        frame_indices=tuple(frames_with_whole_window(params.frames, SUBFRAMES, params.window)),
+        true_blur_exposure=exposure_seconds(params.window, SUBFRAMES, params.fps),
+    )
 
 
-def _film(
-    params: StudioParams, person: Person, fine: Moves, cameras: Cameras
+def _film_training(
+    scene: Scene,
 ) -> tuple[UInt8[Tensor, "F H W 4"], UInt8[Tensor, "E H W 4"], UInt8[Tensor, "E H W 4"]]:
     """The training camera's frames, and their blur averaged in sRGB and in linear light."""
-    frames: list[UInt8[np.ndarray, "H W 4"]] = []
+    params, frames = scene.params, []
 
     def subframes() -> Iterator[UInt8[np.ndarray, "H W 4"]]:
-        view = View.of(cameras, 0, params.samples_per_axis)
-        instants = run.progress(person.posed(fine), "filming", total=len(fine.transl))
-        for index, vertices in enumerate(instants):
-            coded = encode(render(vertices, person.mesh, view, LIGHTING))
+        view = View.of(scene.cameras, 0, params.samples_per_axis)
+        instants = scene.person.posed(scene.fine)
+        total = len(scene.subtimes)
+        for index, vertices in enumerate(run.progress(instants, "filming", total)):
+            coded = encode(render(vertices, scene.person.mesh, view, LIGHTING))
             if index % SUBFRAMES == 0:
                 frames.append(coded)
             yield coded
 
-    window = params.frames, SUBFRAMES, params.window
     first, second = itertools.tee(subframes())
-    blurs = list(
-        zip(
-            blur_windows(first, *window, "srgb"),
-            blur_windows(second, *window, "linear"),
-            strict=True,
-        )
+    windows = params.frames, SUBFRAMES, params.window
+    in_srgb, in_linear = (
+        blur_windows(first, *windows, "srgb"),
+        blur_windows(second, *windows, "linear"),
     )
-    in_srgb, in_linear = (torch.from_numpy(np.stack(blur)) for blur in zip(*blurs, strict=True))
-    return torch.from_numpy(np.stack(frames)), in_srgb, in_linear
+    blurred = list(zip(in_srgb, in_linear, strict=True))
+    srgb, linear = (_stacked(blurs) for blurs in zip(*blurred, strict=True))
+    return _stacked(frames), srgb, linear
 
 
-def _film_tests(
-    params: StudioParams,
-    person: Person,
-    true: Moves,
-    training: tuple[int, ...],
-    testing: tuple[int, ...],
-    cameras: Cameras,
-) -> tuple[UInt8[Tensor, "V H W 4"], UInt8[Tensor, "V H W"]]:
+def _film_reference(scene: Scene) -> Reference:
     """Sharp views of every test camera, and which of their pixels the training camera saw."""
-    faces = person.mesh.faces
-    seen = seen_cells(person.posed(_at(true, training)), faces, View.of(cameras, 0, 1), SEEN_CELLS)
-    shown = list(person.posed(_at(true, testing)))
+    person, faces = scene.person, scene.person.mesh.faces
+    trained = person.posed(_at(scene.true, scene.training))
+    seen = seen_cells(trained, faces, View.of(scene.cameras, 0, 1), SEEN_CELLS)
+    shown = list(person.posed(_at(scene.true, scene.testing)))
+    count = scene.params.test_cameras
     images, masks = [], []
-    for index in run.progress(range(1, params.test_cameras + 1), "filming the truth"):
-        view = View.of(cameras, index, params.samples_per_axis)
-        images += [encode(render(vertices, person.mesh, view, LIGHTING)) for vertices in shown]
-        masks += [seen_pixels(vertices, faces, view, seen) for vertices in shown]
-    return torch.from_numpy(np.stack(images)), torch.from_numpy(np.stack(masks) * np.uint8(255))
+    for index in run.progress(range(1, count + 1), "filming the truth"):
+        view = View.of(scene.cameras, index, scene.params.samples_per_axis)
+        for vertices in shown:
+            images.append(encode(render(vertices, person.mesh, view, LIGHTING)))
+            masks.append(np.uint8(255) * seen_pixels(vertices, faces, view, seen))
+    views, frame_indices = _stacked(images), torch.tensor(scene.testing).repeat(count)
+    return Reference(
+        images=views[..., :3],
+        mattes=views[..., 3],
+        seen=_stacked(masks),
+        camera_indices=torch.arange(1, count + 1).repeat_interleave(len(scene.testing)),
+        frame_indices=frame_indices,
+        novel_pose=(frame_indices >= scene.held_out_from).long(),
+        background=(0.0, 0.0, 0.0),
+        motion_times=scene.subtimes.float(),
+        motion=_poses(scene.fine, person.betas),
+    )
 
 
 def encode(picture: Picture) -> UInt8[np.ndarray, "H W 4"]:
@@ -192,6 +218,10 @@ def encode(picture: Picture) -> UInt8[np.ndarray, "H W 4"]:
     srgb = linear_to_srgb(torch.from_numpy(picture.light)).numpy()
     both = np.concatenate([srgb, picture.coverage[..., None]], -1)
     return np.rint(both.clip(0, 1) * 255).astype(np.uint8)
+
+
+def _stacked(images: Sequence[UInt8[np.ndarray, "*image"]]) -> UInt8[Tensor, "F *image"]:
+    return torch.from_numpy(np.stack(images))
 
 
 def _at(moves: Moves, frames: tuple[int, ...]) -> Moves:

@@ -29,7 +29,7 @@ def test_both_sides_of_a_cut_make_up_the_whole():
 
 
 def test_a_cut_keeps_the_outside_outside():
-    part = cut(FACES, VERTICES[:, 0])
+    part = cut(FACES, VERTICES @ (0.3, 0.8, -0.2) - 0.13)
     points = part.mix(VERTICES)
     centres = points[part.faces].mean(1)
     a, b, c = (points[part.faces[:, k]] for k in range(3))

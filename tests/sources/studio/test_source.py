@@ -7,9 +7,11 @@ import torch
 from deblur_avatar.artifacts import Body, Clip, Reference
 from deblur_avatar.config import StudioParams
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
-from deblur_avatar.imaging.mesh_rendering import Picture
-from deblur_avatar.sources.studio.source import SUBFRAMES, encode, load_studio
+from deblur_avatar.imaging.color import linear_to_srgb
+from deblur_avatar.imaging.mesh_rendering import Picture, View, render
+from deblur_avatar.sources.studio.motion import move
+from deblur_avatar.sources.studio.person import create_person
+from deblur_avatar.sources.studio.source import LIGHTING, SUBFRAMES, encode, load_studio
 
 TINY = StudioParams(
     source="studio",
@@ -98,18 +100,20 @@ def test_a_fast_body_does_and_light_adds_up_brighter_than_srgb(turning: tuple[Cl
     assert (clip.true_blur_linear.int() - clip.true_blur_srgb.int()).max() > 5
 
 
-def test_blur_is_the_mean_of_finely_spaced_frames(body: Body):
-    # The same motion filmed at 480 frames a second: its frames are the sub-frames.
-    clip, _ = filmed(body, frames=5, held_out=0.0, window=9)
-    fast, _ = filmed(body, frames=33, fps=480.0, held_out=0.0, window=1)
-    # A clip's motion runs to the end of its last frame interval, 5 / 60 s and 33 / 480 s.
-    fast, _ = filmed(body, frames=40, fps=480.0, held_out=0.0, window=1)
-    middle = fast.frames[0, 16 - 4 : 16 + 5].double() / 255
-    wanted = linear_to_srgb(srgb_to_linear(middle).mean(0)) * 255
+def test_blur_is_the_mean_of_what_the_eye_sees_while_the_shutter_is_open(
+    body: Body, turning: tuple[Clip, Reference]
+):
+    clip, _ = turning
+    person = create_person(body, clip.exact.betas)
+    view = View.of(clip.cameras, 0, TINY.samples_per_axis)
+    times = (2 * SUBFRAMES + torch.arange(-4, 5)) / (SUBFRAMES * TINY.fps)
+    shown = person.posed(move("turn", times, 6 / TINY.fps))
+    instants = np.stack([render(v, person.mesh, view, LIGHTING).light for v in shown])
     index = clip.frame_indices.index(2)
-    assert (clip.true_blur_linear[index].double() - wanted).abs().max() <= 0.51
-    srgb = fast.frames[0, 12:21].double().mean(0)
-    assert (clip.true_blur_srgb[index].double() - srgb).abs().max() <= 0.51
+    in_light = linear_to_srgb(torch.from_numpy(instants.mean(0))) * 255
+    assert (clip.true_blur_linear[index] - in_light).abs().max() < 1.5
+    in_srgb = linear_to_srgb(torch.from_numpy(instants)).mean(0) * 255
+    assert (clip.true_blur_srgb[index] - in_srgb).abs().max() < 1.0
 
 
 def test_test_views_are_of_other_cameras_and_of_both_splits(turning: tuple[Clip, Reference]):
@@ -123,8 +127,8 @@ def test_test_views_are_of_other_cameras_and_of_both_splits(turning: tuple[Clip,
 
 def test_frames_that_see_the_held_out_part_are_not_trained_on(body: Body):
     _, reference = filmed(body, window=17)
-    # 8.5 sub-frames after frame 5's middle its shutter is open while frame 6 is taken.
-    assert reference.frame_indices[:2].tolist() == [2, 4]
+    # The shutter of frame 5 closes 8.5 sub-frames after its middle, half a one after frame 6's.
+    assert reference.frame_indices[:3].tolist() == [1, 3, 6]
 
 
 def test_seen_pixels_lie_on_the_person_and_are_many(turning: tuple[Clip, Reference]):

@@ -1,0 +1,83 @@
+import pytest
+import torch
+
+from deblur_avatar.config import FusionParams, ModelParams, TrajectoryParams, parse
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.pipeline.trajectory import fit_trajectory
+from deblur_avatar.pipeline.warmup import warm_up
+
+CPU = torch.device("cpu")
+
+
+def quiet(iteration, terms):
+    pass
+
+
+@pytest.fixture
+def fused(observations, start, schedule, tiny_content):
+    """A whole run of a method, its last stage with changes."""
+
+    def run(method="paper", params=start, report=quiet, **changes):
+        torch.manual_seed(0)
+        generator = torch.Generator().manual_seed(0)
+        shared = {"device": CPU, "generator": generator}
+        section = tiny_content["methods"][method]
+        trajectory = parse(TrajectoryParams, section["trajectory"], "trajectory")
+        fusion = parse(FusionParams, section["fusion"] | changes, "fusion")
+        avatar, checkpoint, _ = warm_up(observations, params, schedule, report=quiet, **shared)
+        handed = fit_trajectory(
+            observations, avatar, checkpoint, params, trajectory, schedule, report=quiet, **shared
+        )
+        result = fuse(observations, *handed[:3], params, fusion, schedule, report=report, **shared)
+        return handed, result
+
+    return run
+
+
+def test_fusion_finishes_the_avatar_and_its_motion(fused, schedule):
+    iterations = []
+    (_, before, _, _), (avatar, motion, cost) = fused(
+        report=lambda iteration, _: iterations.append(iteration)
+    )
+    assert iterations == list(range(schedule.trajectory + 1, schedule.fusion + 1))
+    assert avatar.iteration == schedule.fusion
+    assert motion.kind == "pair"
+    assert torch.equal(motion.u, before.u)
+    assert not torch.equal(motion.parameters["start"], before.parameters["start"])
+    assert cost["gaussians"] == len(avatar.means)
+    assert cost["seconds"] > 0
+
+
+def test_the_fusion_network_is_not_part_of_the_avatar(fused):
+    (before, _, _, _), (after, _, _) = fused()
+    assert after.networks.keys() == before.networks.keys()
+
+
+def test_supervision_decides_what_is_learned(fused):
+    # The same run up to here, the same draws in the last stage.
+    results = {name: fused(supervision=name)[1][0].means for name in ("sharp", "mean", "fused")}
+    for one, other in (("sharp", "mean"), ("mean", "fused"), ("sharp", "fused")):
+        assert results[one].shape != results[other].shape or not torch.equal(
+            results[one], results[other]
+        )
+
+
+def test_a_method_without_fusion_goes_on_as_before(fused):
+    _, (_, motion, _) = fused("blind")
+    assert motion.kind == "frame"
+
+
+def test_equal_seeds_make_equal_avatars(fused):
+    (_, (one, _, _)), (_, (same, _, _)) = fused(), fused()
+    assert torch.equal(one.means, same.means)
+    assert all(torch.equal(one.networks[name], same.networks[name]) for name in one.networks)
+
+
+def test_fusing_without_a_network_or_without_a_pose_code_is_refused(fused, start):
+    message = r"fusion.supervision is fused, which needs fusion.network and an avatar with a"
+    with pytest.raises(ConfigError, match=message):
+        fused(network=None)
+    plain = ModelParams(nonrigid=None, skinning=None, color=None)
+    with pytest.raises(ConfigError, match=message):
+        fused(params=start.model_copy(update={"model": plain}))

@@ -1,0 +1,112 @@
+import pytest
+import torch
+
+from deblur_avatar.avatar.model import joint_rotations
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion
+from deblur_avatar.config import TrajectoryParams, parse
+from deblur_avatar.pipeline.trajectory import fit_trajectory, new_trajectory
+from deblur_avatar.pipeline.warmup import warm_up
+
+CPU = torch.device("cpu")
+
+
+def quiet(iteration, terms):
+    pass
+
+
+@pytest.fixture
+def method(tiny_content):
+    def make(name="paper", **changes):
+        section = tiny_content["methods"][name]["trajectory"] | changes
+        return parse(TrajectoryParams, section, "trajectory")
+
+    return make
+
+
+@pytest.fixture
+def warm(observations, start, schedule):
+    torch.manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
+    avatar, checkpoint, _ = warm_up(
+        observations, start, schedule, device=CPU, generator=generator, report=quiet
+    )
+    return avatar, checkpoint
+
+
+@pytest.fixture
+def go_on(observations, start, schedule, warm):
+    def run(params, report=quiet):
+        torch.manual_seed(1)
+        return fit_trajectory(
+            observations, *warm, start, params, schedule, device=CPU,
+            generator=torch.Generator().manual_seed(1), report=report,
+        )  # fmt: skip
+
+    return run
+
+
+def test_the_paper_has_five_instants_from_start_to_end(go_on, method, schedule, observations):
+    iterations = []
+    avatar, motion, checkpoint, cost = go_on(
+        method(), report=lambda iteration, _: iterations.append(iteration)
+    )
+    assert iterations == list(range(schedule.warmup + 1, schedule.trajectory + 1))
+    assert motion.kind == "pair"
+    torch.testing.assert_close(motion.u, torch.linspace(0, 1, 5))
+    assert motion.body_pose.shape == (len(observations.frames), 5, 23, 3)
+    assert torch.equal(motion.timestamps, observations.timestamps)
+    assert avatar.iteration == checkpoint.iteration == schedule.trajectory
+    assert cost["gaussians"] == len(avatar.means)
+    assert cost["seconds"] > 0
+
+
+def test_without_a_model_of_blur_the_body_stands_still_in_a_refined_pose(
+    go_on, method, observations
+):
+    _, motion, _, _ = go_on(method("blind"))
+    assert motion.kind == "frame"
+    assert motion.u.tolist() == [0.5]
+    torch.testing.assert_close(motion.body_pose[:, 0], motion.centre.body_pose)
+    trained = list(observations.train)
+    apart = (motion.centre.body_pose - observations.poses.body_pose).abs().flatten(1).amax(1)
+    assert (apart[trained] > 1e-5).all()
+
+
+def test_fixed_poses_stay_as_they_were_given(go_on, method, observations):
+    _, motion, _, _ = go_on(method("blind", motion="fixed"))
+    torch.testing.assert_close(joint_rotations(motion.centre), joint_rotations(observations.poses))
+
+
+def test_the_optimisers_go_on_where_the_warm_up_stopped(go_on, method, warm, schedule):
+    _, _, checkpoint, _ = go_on(method())
+    name = "networks.network.color.network.last.weight.step"
+    assert warm[1].tensors[name] == schedule.warmup
+    assert checkpoint.tensors[name] == schedule.trajectory
+    steps = schedule.trajectory - schedule.warmup
+    assert checkpoint.tensors["networks.motion.start.step"] == steps
+
+
+def test_what_was_handed_over_is_not_changed(go_on, method, warm):
+    avatar, checkpoint = warm
+    before = {"means": avatar.means.clone()}
+    before |= {name: value.clone() for name, value in checkpoint.tensors.items()}
+    go_on(method())
+    assert torch.equal(avatar.means, before.pop("means"))
+    assert all(torch.equal(checkpoint.tensors[name], value) for name, value in before.items())
+
+
+def test_equal_seeds_fit_equal_motions(go_on, method):
+    (_, one, _, _), (_, same, _, _) = go_on(method()), go_on(method())
+    assert torch.equal(one.parameters["start"], same.parameters["start"])
+
+
+def test_new_trajectories_start_from_the_given_poses(observations, method):
+    generator = torch.Generator().manual_seed(0)
+    pair = new_trajectory(observations, method(virtual_poses=3), generator)
+    assert isinstance(pair, PairMotion)
+    assert pair.u.tolist() == [0.0, 0.5, 1.0]
+    frame = new_trajectory(observations, method("blind"), generator)
+    assert isinstance(frame, FrameMotion)
+    for trajectory in (pair, frame):
+        expected = joint_rotations(observations.poses)[1]
+        torch.testing.assert_close(trajectory(1).centre_rotations, expected, atol=1e-3, rtol=0)

@@ -1,0 +1,83 @@
+import pytest
+import torch
+
+from deblur_avatar.avatar.model import AvatarModel
+from deblur_avatar.pipeline.warmup import warm_up
+
+CPU = torch.device("cpu")
+
+
+def quiet(iteration, terms):
+    pass
+
+
+@pytest.fixture
+def warm(observations, start, schedule):
+    def run(params=start, seen=observations, seed=0, report=quiet):
+        torch.manual_seed(seed)
+        generator = torch.Generator().manual_seed(seed)
+        return warm_up(seen, params, schedule, device=CPU, generator=generator, report=report)
+
+    return run
+
+
+def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, start, schedule, observations):
+    iterations = []
+    avatar, checkpoint, cost = warm(report=lambda iteration, _: iterations.append(iteration))
+    assert iterations == list(range(1, schedule.warmup + 1))
+    assert avatar.iteration == checkpoint.iteration == schedule.warmup
+    assert cost["gaussians"] == len(avatar.means)
+    assert 0 < cost["seconds"] < 60
+    assert avatar.model["frames"] == len(observations.frames)
+    assert avatar.model["light"] == observations.light
+    assert torch.equal(avatar.betas, observations.poses.betas)
+    model = AvatarModel.from_artifact(avatar, observations.body, CPU)
+    assert model.params == start.model
+
+
+def test_the_first_gaussians_are_as_many_as_the_schedule_says(warm, start, schedule):
+    still = start.model_copy(
+        update={"densify": start.densify.model_copy(update={"start": 15_000, "stop": 15_000})}
+    )
+    avatar, checkpoint, _ = warm(still)
+    assert len(avatar.means) == schedule.gaussians
+    assert checkpoint.tensors["densifier.first_count"].item() == schedule.gaussians
+
+
+def test_a_warm_up_knows_no_motion(warm):
+    _, checkpoint, _ = warm()
+    names = set(checkpoint.tensors)
+    assert not any(name.startswith("networks.motion") for name in names)
+    assert any(name.startswith("networks.network.color") for name in names)
+    assert any(name.startswith("gaussians.means") for name in names)
+
+
+def test_blur_or_no_blur_makes_no_difference_to_the_recipe(warm, sharpened):
+    short, long = (warm(seen=sharpened(exposure=value))[0] for value in (None, 0.1))
+    assert torch.equal(short.means, long.means)
+
+
+def test_equal_seeds_make_equal_files(warm, tmp_path):
+    for name, seed in (("one", 1), ("same", 1), ("other", 2)):
+        avatar, checkpoint, _ = warm(seed=seed)
+        avatar.save(tmp_path / name / "avatar")
+        checkpoint.save(tmp_path / name / "checkpoint")
+    for part in ("avatar", "checkpoint"):
+        one, same, other = (
+            (tmp_path / name / part / "tensors.safetensors").read_bytes()
+            for name in ("one", "same", "other")
+        )
+        assert one == same
+        assert one != other
+
+
+def test_pretraining_can_be_left_out(warm, start):
+    skinning = start.model.skinning.model_copy(update={"pretrain": 0})
+    params = start.model_copy(
+        update={"model": start.model.model_copy(update={"skinning": skinning})}
+    )
+    (with_it, _, _), (without, _, _) = warm(), warm(params)
+    assert not torch.equal(
+        with_it.networks["skinning.network.last.weight"],
+        without.networks["skinning.network.last.weight"],
+    )

@@ -1,0 +1,65 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.filmed_scene import film
+
+ROOT = Path(__file__).resolve().parents[2]
+PARAMS = """
+seed: 3
+schedule: quick
+runs:
+  hall-oracle: {scene: hall, observations: sharp, start: plain, method: oracle}
+"""
+
+
+def run_stage(folder: Path, method: str) -> "subprocess.CompletedProcess[str]":
+    (folder / "params.yaml").write_text(PARAMS)
+    options = {
+        "scene": "hall",
+        "method": method,
+        "observations": folder / "observations",
+        "reference": folder / "reference",
+        "fusion": folder / "fusion",
+        "costs": folder / "costs",
+        "out": folder / "out",
+        "metrics": folder / "metrics.json",
+        "params-file": folder / "params.yaml",
+    }
+    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    return subprocess.run(
+        [sys.executable, "stages/evaluate.py", *words],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_the_stage_measures_a_few_pixels(painted, make_observations, tmp_path):
+    scene = film(painted(frames=8), make_observations(frames=8))
+    scene.observations.save(tmp_path / "observations")
+    scene.reference.save(tmp_path / "reference")
+    scene.avatar.save(tmp_path / "fusion" / "avatar")
+    scene.motion.save(tmp_path / "fusion" / "motion")
+    costs = tmp_path / "costs" / "warmup" / "hall-sharp-plain.json"
+    costs.parent.mkdir(parents=True)
+    costs.write_text(json.dumps({"seconds": 4.0, "peak_memory_mb": 300.0}))
+
+    done = run_stage(tmp_path, "oracle")
+    assert done.returncode == 0, done.stderr
+    measured = json.loads((tmp_path / "metrics.json").read_text())
+    assert measured["scene"] == "hall"
+    assert measured["method"] == "oracle"
+    assert measured["image"]["psnr"] > 28
+    assert measured["cost"]["warmup_s"] == 4
+    assert measured["cost"]["render_fps"] > 1
+    assert measured["run"] == {"seed": 3, "device": "cpu", "schedule": "quick", "iterations": 7}
+    views = json.loads((tmp_path / "out" / "views.json").read_text())
+    assert all((tmp_path / "out" / view["render"]).exists() for view in views)
+
+
+def test_an_unknown_run_is_one_clear_error(tmp_path):
+    done = run_stage(tmp_path, "magic")
+    assert done.returncode == 1
+    assert "ConfigError" in done.stderr
+    assert "'hall-magic'" in done.stderr
+    assert "Traceback" not in done.stderr

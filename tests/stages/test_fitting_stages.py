@@ -1,0 +1,200 @@
+"""The three fitting stages, run as DVC runs them: one process each, on a few pixels."""
+
+import copy
+import importlib.util
+import json
+import logging
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from ruamel.yaml import YAML
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Avatar, Checkpoint, Motion
+
+ROOT = Path(__file__).resolve().parents[2]
+STAGES = ("warmup", "trajectory", "fusion")
+BEFORE = {"trajectory": "warmup", "fusion": "trajectory"}
+
+
+def options(stage: str, folder: Path, read: Path) -> dict[str, Any]:
+    """A stage's options: it writes to `folder` and reads what earlier ones wrote to `read`."""
+    given = {
+        "start": "paper",
+        "observations": read / "observations",
+        "out": folder / stage,
+        "metrics": folder / f"{stage}.json",
+        "params_file": folder / "params.yaml",
+    }
+    if stage in BEFORE:
+        given |= {"method": "paper", BEFORE[stage]: read / BEFORE[stage]}
+    return given
+
+
+def words(stage: str, folder: Path, read: Path) -> list[str]:
+    pairs = options(stage, folder, read).items()
+    return [word for key, value in pairs for word in (f"--{key.replace('_', '-')}", str(value))]
+
+
+def run_script(stage: str, folder: Path, read: Path) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, f"stages/{stage}.py", *words(stage, folder, read)],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def script(stage: str) -> types.ModuleType:
+    spec = importlib.util.spec_from_file_location(f"{stage}_script", ROOT / f"stages/{stage}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def write_params(folder: Path, content: dict[str, Any]) -> None:
+    with (folder / "params.yaml").open("w") as file:
+        YAML().dump(content, file)
+
+
+@pytest.fixture(scope="module")
+def tiny(tiny_parameters):
+    return copy.deepcopy(tiny_parameters)
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory, observations, tiny):
+    """All three stages, one after the other, each in its own process."""
+    folder = tmp_path_factory.mktemp("chain")
+    observations.save(folder / "observations")
+    write_params(folder, tiny)
+    return folder, {stage: run_script(stage, folder, folder) for stage in STAGES}
+
+
+@pytest.fixture
+def this_process(monkeypatch):
+    """Stages may run here too: what they switch for a process is switched back after them."""
+    monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
+    before = torch.are_deterministic_algorithms_enabled()
+    fills = torch.utils.deterministic.fill_uninitialized_memory
+    yield
+    torch.use_deterministic_algorithms(before)
+    torch.utils.deterministic.fill_uninitialized_memory = fills
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_runs_and_says_so_in_two_lines_and_its_losses(chain, stage):
+    folder, runs = chain
+    done = runs[stage]
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    first, *losses, last = done.stderr.splitlines()
+    assert first.startswith(f"{stage} {stage}: start, device ")
+    assert last.startswith(f"{stage} {stage}: done in ")
+    assert all(f"{stage} {stage} " in line and "l1 0." in line for line in losses)
+    measured = json.loads((folder / f"{stage}.json").read_text())
+    assert measured["seconds"] > 0
+    assert measured["peak_memory_mb"] > 50
+
+
+def test_each_stage_writes_what_the_next_one_reads(chain, tiny):
+    folder, _ = chain
+    ends = tiny["schedules"]["tiny"]
+    for stage in STAGES:
+        avatar = Avatar.load(folder / stage / "avatar")
+        assert avatar.iteration == ends[stage]
+        measured = json.loads((folder / f"{stage}.json").read_text())
+        assert measured["gaussians"] == len(avatar.means)
+    for stage in ("warmup", "trajectory"):
+        assert Checkpoint.load(folder / stage / "checkpoint").iteration == ends[stage]
+    motion = Motion.load(folder / "fusion" / "motion")
+    assert motion.kind == "pair"
+    assert motion.body_pose.shape == (5, 5, 23, 3)
+    for stage, parts in (("warmup", 2), ("trajectory", 3), ("fusion", 2)):
+        assert len(list((folder / stage).iterdir())) == parts
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.mark.usefixtures("this_process")
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_second_run_in_another_process_writes_the_same_bytes(chain, tiny, stage, tmp_path):
+    folder, _ = chain
+    write_params(tmp_path, tiny)
+    script(stage).main(**options(stage, tmp_path, folder))
+    assert files(tmp_path / stage) == files(folder / stage)
+
+
+def misspell(content: dict[str, Any], stage: str) -> str:
+    """Misspell a key that the stage reads; returns the section it is in."""
+    if stage == "warmup":
+        section, where = content["starts"]["paper"]["optimiser"], "starts.paper"
+    else:
+        section, where = content["methods"]["paper"][stage], f"methods.paper.{stage}"
+    key = next(iter(section))
+    section[f"{key}s"] = section.pop(key)
+    return where
+
+
+def test_a_typo_in_the_parameters_ends_with_one_line_and_no_output(chain, tiny, tmp_path):
+    folder, _ = chain
+    content = copy.deepcopy(tiny)
+    where = misspell(content, "warmup")
+    write_params(tmp_path, content)
+    done = run_script("warmup", tmp_path, folder)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"ConfigError: {tmp_path / 'params.yaml'}: {where}: missing key")
+    assert "unknown key" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["params.yaml"]
+
+
+def refused(stage, folder, read, monkeypatch, capsys) -> str:
+    """What a stage that ends with exit code 1 says."""
+    monkeypatch.setattr(sys, "argv", [stage, *words(stage, folder, read)])
+    with pytest.raises(SystemExit) as end:
+        run.command(script(stage).main)
+    assert end.value.code == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+@pytest.mark.usefixtures("this_process")
+@pytest.mark.parametrize("stage", ["trajectory", "fusion"])
+def test_a_typo_in_a_method_does_too(chain, tiny, stage, tmp_path, monkeypatch, capsys):
+    folder, _ = chain
+    content = copy.deepcopy(tiny)
+    where = misspell(content, stage)
+    write_params(tmp_path, content)
+    line = refused(stage, tmp_path, folder, monkeypatch, capsys)
+    assert line.startswith(f"ConfigError: {tmp_path / 'params.yaml'}: {where}: missing key")
+    assert "unknown key" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["params.yaml"]
+
+
+@pytest.mark.usefixtures("this_process")
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_before_its_predecessor_says_what_to_do(
+    chain, tiny, stage, tmp_path, monkeypatch, capsys
+):
+    folder, _ = chain
+    write_params(tmp_path, tiny)
+    missing, schema = tmp_path / "observations", "observations/1"
+    if stage in BEFORE:
+        missing.symlink_to(folder / "observations")
+        missing, schema = tmp_path / BEFORE[stage] / "avatar", "avatar/1"
+    line = refused(stage, tmp_path, tmp_path, monkeypatch, capsys)
+    assert line == f"ArtifactError: no {schema} in {missing}; run `dvc repro` or `dvc pull`"
+    assert not (tmp_path / stage).exists()

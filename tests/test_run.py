@@ -1,0 +1,171 @@
+import json
+import logging
+import random
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deblur_avatar import run
+from deblur_avatar.errors import ArtifactError, ConfigError
+
+
+@pytest.fixture(autouse=True)
+def global_state():
+    """What a stage switches for its whole process is switched back."""
+    deterministic = torch.are_deterministic_algorithms_enabled()
+    fills = torch.utils.deterministic.fill_uninitialized_memory
+    states = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+    yield
+    torch.use_deterministic_algorithms(deterministic)
+    torch.utils.deterministic.fill_uninitialized_memory = fills
+    random.setstate(states[0])
+    np.random.set_state(states[1])  # noqa: NPY002
+    torch.set_rng_state(states[2])
+
+
+def test_seeds_are_the_same_on_every_machine_and_differ_between_stages_and_items():
+    # The first eight digits of `printf 0/warmup/studio | sha256sum`.
+    assert run.derive_seed(0, "warmup", "studio") == 0xCF69DF00
+    seeds = {
+        run.derive_seed(seed, stage, item)
+        for seed in (0, 1)
+        for stage in ("warmup", "fusion")
+        for item in ("studio", "courtyard")
+    }
+    assert len(seeds) == 8
+    assert all(0 <= seed < 2**32 for seed in seeds)
+
+
+def draws(seed, item="studio"):
+    with run.stage("warmup", item, seed) as context:
+        own = torch.rand(3, generator=context.generator, device=context.device).tolist()
+        return own, torch.rand(3).tolist(), np.random.rand(3).tolist(), random.random()  # noqa: NPY002
+
+
+def test_a_stage_draws_the_same_numbers_whenever_it_runs(monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cpu")
+    first, again, other_seed, other_item = draws(0), draws(0), draws(1), draws(0, "courtyard")
+    assert first == again
+    for other in (other_seed, other_item):
+        assert all(a != b for a, b in zip(first, other, strict=True))
+
+
+def test_a_stage_runs_where_the_environment_says(monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cpu")
+    with run.stage("warmup", "studio", 0) as context:
+        assert context.device == torch.device("cpu")
+        assert context.generator.device == context.device
+        assert context.seed == run.derive_seed(0, "warmup", "studio")
+
+
+def test_a_device_that_does_not_exist_is_a_mistake_of_the_caller(monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "graphics")
+    with (
+        pytest.raises(ConfigError, match="DEBLUR_AVATAR_DEVICE: .*graphics"),
+        run.stage("warmup", "studio", 0),
+    ):
+        pass
+
+
+def test_a_stage_says_when_it_starts_and_what_it_took(caplog, monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cpu")
+    with caplog.at_level(logging.INFO), run.stage("warmup", "studio", 0) as context:
+        pass
+    first, last = caplog.messages
+    assert first == f"warmup studio: start, device cpu, seed {context.seed}"
+    assert re.fullmatch(r"warmup studio: done in \d+\.\d s, \d+ MB", last)
+
+
+def test_a_stage_that_fails_does_not_say_that_it_is_done(caplog, monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cpu")
+    with (
+        caplog.at_level(logging.INFO),
+        pytest.raises(ZeroDivisionError),
+        run.stage("warmup", "studio", 0),
+    ):
+        raise ZeroDivisionError
+    assert len(caplog.messages) == 1
+
+
+def given(monkeypatch, *words):
+    monkeypatch.setattr(sys, "argv", ["stage", *words])
+
+
+def test_a_commands_parameters_are_its_options_typed_and_all_required(monkeypatch, capsys):
+    seen = []
+
+    def main(scene: str, params_file: Path, count: int) -> None:
+        """Do it."""
+        seen.append((scene, params_file, count))
+
+    given(monkeypatch, "--scene", "studio", "--params-file", "p.yaml", "--count", "3")
+    run.command(main)
+    assert seen == [("studio", Path("p.yaml"), 3)]
+    given(monkeypatch, "--scene", "studio", "--count", "3")
+    with pytest.raises(SystemExit) as stop:
+        run.command(main)
+    assert stop.value.code == 2
+    assert "--params-file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", [ConfigError, ArtifactError])
+def test_a_callers_mistake_is_one_line_and_exit_code_1(monkeypatch, capsys, kind):
+    def main() -> None:
+        raise kind("params.yaml: warmup: unknown key 'x'")
+
+    given(monkeypatch)
+    with pytest.raises(SystemExit) as stop:
+        run.command(main)
+    assert stop.value.code == 1
+    assert capsys.readouterr().err == f"{kind.__name__}: params.yaml: warmup: unknown key 'x'\n"
+
+
+def test_a_mistake_of_ours_keeps_its_traceback(monkeypatch):
+    def main() -> None:
+        raise KeyError("ours")
+
+    given(monkeypatch)
+    with pytest.raises(KeyError):
+        run.command(main)
+
+
+def test_json_is_rounded_to_six_digits_and_what_is_not_a_number_is_null(tmp_path):
+    content = {"psnr": 31.23456789, 2: [1e-9 / 3, float("nan"), float("inf")], "n": (1, None, "a")}
+    run.write_json(tmp_path / "deep" / "metrics.json", content)
+    read = json.loads((tmp_path / "deep" / "metrics.json").read_text())
+    assert read == {"psnr": 31.2346, "2": [3.33333e-10, None, None], "n": [1, None, "a"]}
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["metrics.json"]
+
+
+def test_json_that_cannot_be_written_leaves_the_old_file(tmp_path):
+    path = tmp_path / "metrics.json"
+    run.write_json(path, {"psnr": 1.0})
+    with pytest.raises(TypeError):
+        run.write_json(path, {"psnr": object()})
+    assert json.loads(path.read_text()) == {"psnr": 1.0}
+
+
+def test_a_fit_reports_every_tenth_of_its_way_and_its_end(caplog):
+    report = run.fitting_progress("warmup studio", 25)
+    with caplog.at_level(logging.INFO):
+        for iteration in range(1, 26):
+            report(iteration, {"l1": 0.5 / iteration, "mask": 0.25})
+    assert len(caplog.messages) == 13  # every second of 25, and the last
+    assert caplog.messages[-1] == "warmup studio 25/25: l1 0.0200 mask 0.2500"
+
+
+def test_progress_passes_everything_through_and_is_silent_without_a_terminal(capfd):
+    assert list(run.progress(range(5), "frames")) == [0, 1, 2, 3, 4]
+    assert capfd.readouterr().err == ""
+
+
+def test_peak_memory_is_the_systems_own_figure_in_megabytes():
+    status = Path("/proc/self/status")
+    if not status.exists():
+        pytest.skip("no /proc/self/status on this system")
+    (line,) = [line for line in status.read_text().splitlines() if line.startswith("VmHWM")]
+    assert run.peak_memory_mb() == pytest.approx(int(line.split()[1]) / 1024, rel=0.02)
