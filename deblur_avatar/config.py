@@ -219,7 +219,8 @@ class OptimiserParams(Params):
     nonrigid: Positive
     color: Positive
     latent_decay: NonNegative
-    poses: Positive
+    poses: Positive  # radians a step
+    transl: Positive  # metres a step
     fusion: Positive
     final_share: Fraction  # of the networks' rates at the end
     clip: Positive  # norm of all networks' gradients

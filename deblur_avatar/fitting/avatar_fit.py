@@ -388,7 +388,8 @@ def _network_optimiser(
                 groups.append({"params": [value], "lr": rate} | named)
     for name, value in trajectory.named_parameters():
         if value.requires_grad:
-            groups.append({"params": [value], "lr": rates.poses, "name": f"motion.{name}"})
+            rate = rates.transl if "transl" in name else rates.poses
+            groups.append({"params": [value], "lr": rate, "name": f"motion.{name}"})
     if fusion is not None:
         for name, value in fusion.named_parameters():
             groups.append({"params": [value], "lr": rates.fusion, "name": f"fusion.{name}"})

@@ -40,17 +40,18 @@ LANDMARK_SHARE = 0.015
 OUTLINE_SHARE = 0.01
 ACCELERATION = 60.0  # of joints, m/s^2: a kick's
 ANGULAR_ACCELERATION = 300.0  # of joints' rotations, rad/s^2
+SHAPE_TRUST = 1.0  # how many measurements of a frame the expected shape outweighs
 BEYOND_LIMIT = 0.1  # radians
 KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
 OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
 SATURATION = 3.0  # standard deviations at which a measurement has half its say
-OUTLINE_WEIGHT = 20.0  # landmarks that one matte counts as
+OUTLINE_WEIGHT = 40.0  # landmarks that one matte counts as
 
 SURFACE_POINTS = 1200
-COARSE_STEPS = 250
-FINE_STEPS = 250
+COARSE_STEPS = 150
+FINE_STEPS = 200
 MATCH_EVERY = 25  # steps between two searches for outline points' partners
-RATES = {"betas": 0.05, "turn": 0.02, "body_pose": 0.02, "transl": 0.01, "offsets": 0.002}
+RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004}
 
 
 class BodyFit(NamedTuple):
@@ -379,7 +380,9 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
     rotations = torch.cat([posed.turn[:, None], pose], dim=1)
     angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
-    squares = [unknowns.betas, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
+    # Shape and offsets are weighed against as many measurements as there are frames.
+    shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
+    squares = [shape, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
     return torch.stack([term.square().sum() for term in squares]).sum()
 
 

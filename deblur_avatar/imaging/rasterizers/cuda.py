@@ -44,11 +44,7 @@ def rasterize(
         ValueError: the tensors are not float32 on a GPU, or a value is NaN or infinite.
         ImportError: gsplat is not installed.
     """
-    if means.dtype != torch.float32 or means.device.type != "cuda":
-        raise ValueError(
-            f"the cuda backend computes in float32 on a GPU, got {means.dtype} on {means.device};"
-            " backend='reference' takes any"
-        )
+    _check_place(means)
     refuse_not_finite(
         means=means, covars=covars, opacities=opacities, colors=colors, background=background
     )
@@ -87,6 +83,14 @@ def rasterize(
         radii=radii,
         screen=_watch(info["means2d"], radii),
     )
+
+
+def _check_place(means: Tensor) -> None:
+    if means.dtype != torch.float32 or means.device.type != "cuda":
+        raise ValueError(
+            f"the cuda backend computes in float32 on a GPU, got {means.dtype} on {means.device};"
+            " backend='reference' takes any"
+        )
 
 
 def _watch(means2d: Float[Tensor, "B 1 N 2"], radii: Tensor) -> ScreenStatistics:
