@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts import Body, Cameras
 from deblur_avatar.avatar.body import posed_vertices
-from deblur_avatar.fitting.body_fit import BodyFit
+from deblur_avatar.fitting.body_fit import OUTLIER_SHARE, BodyFit
 from deblur_avatar.imaging.mesh_rendering import View, cast_rays
 
 INSIDE = 128  # matte, of 255
@@ -34,7 +34,8 @@ def measure_fit(
         mattes: of the frames that were fitted.
 
     Returns:
-        By camera: `reprojection_px`, the median distance of landmarks; `iou`, the overlap of matte
+        By camera: `reprojection_px`, the median distance of landmarks, and the share of them that
+        `agree` with the body, not being mistaken for others; `iou`, the overlap of matte
         and silhouette, mean over every `EVERY`-th frame with a person; and `offset_px`, how far
         right of and below the body the mattes lie in the median: where cameras differ in it by
         several pixels, `principal_point_shifts` of the scene can take it away.
@@ -57,6 +58,9 @@ def measure_fit(
                 offsets.append(SHRINK * (_centroid(inside) - _centroid(silhouette)))
         report[cameras.names[camera]] = {
             "reprojection_px": float(seen.median()) if len(seen) else None,
+            "agree": float((seen < OUTLIER_SHARE * fit.extent).float().mean())
+            if len(seen)
+            else None,
             "iou": float(np.mean(overlaps)) if overlaps else None,
             "offset_px": np.median(offsets, axis=0).tolist() if offsets else None,
         }

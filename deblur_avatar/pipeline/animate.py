@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 import cv2
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from deblur_avatar.artifacts import Avatar, Observations
+from deblur_avatar.artifacts import Avatar, Body, Observations, Poses
 from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.avatar.model import AvatarModel, draw
 from deblur_avatar.avatar.placement import framed_intrinsics, level_view, place
@@ -64,10 +64,7 @@ def animate(
         # Only where the camera stands decides what it sees; real ones often hang askew.
         viewmat = level_view(body, filmed, cameras.viewmats[observations.train_camera])
         poses = place(motion, body, filmed, viewmat, turns=params.turns, travel=params.travel)
-        chosen = poses.at(range(0, len(poses.transl), -(-len(poses.transl) // FRAMING_POSES)))
-        points = posed_vertices(
-            body, chosen.betas, chosen.global_orient, chosen.body_pose, chosen.transl
-        )
+        points = _surfaces(body, poses)
         K = framed_intrinsics(
             points, cameras.Ks[observations.train_camera], viewmat, params.image_size, params.margin
         )
@@ -81,6 +78,15 @@ def animate(
         for index in progress(range(len(poses.transl)), "animate")
     ]
     return (torch.stack(frames).cpu() * 255).round().to(torch.uint8)
+
+
+def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
+    """Vertices in a few of the poses; one by one, to bound the memory that blend weights take."""
+    step = -(-len(poses.transl) // FRAMING_POSES)
+    few = [poses.at([index]) for index in range(0, len(poses.transl), step)]
+    return torch.cat(
+        [posed_vertices(body, p.betas, p.global_orient, p.body_pose, p.transl) for p in few]
+    )
 
 
 def sheet_of(frames: UInt8[Tensor, "F H W 3"], fps: float) -> UInt8[np.ndarray, "_ _ 3"]:

@@ -76,6 +76,11 @@ def test_the_t_pose_keeps_the_spine_the_thighs_and_the_feet(a_posed: Rig):
     torch.testing.assert_close(world[7], torch.eye(3).double())  # the left foot
 
 
+def test_the_t_pose_takes_the_hands_along(a_posed: Rig):
+    hands = t_pose_rotations(a_posed.joints)[22:]
+    torch.testing.assert_close(hands, torch.eye(3).double().expand(2, 3, 3))
+
+
 def test_bones_keep_their_lengths_in_the_t_pose(a_posed: Rig):
     joints = t_posed(a_posed, torch.zeros(1, 2).double())[0, len(a_posed.vertices) :]
     above = list(SMPL_PARENTS[1:])

@@ -293,6 +293,7 @@ def test_learning_rates_fall_as_the_papers_do(begin, start):
     assert rates["network.nonrigid.last.weight"] == pytest.approx(0.1 * base.nonrigid)
     assert rates["network.skinning.network.last.weight"] == pytest.approx(0.1 * base.rigid)
     assert rates["motion.start"] == pytest.approx(0.1 * base.poses)
+    assert rates["motion.start_transl"] == pytest.approx(0.1 * base.transl)
     assert rates["fusion.look.weight"] == base.fusion
 
 

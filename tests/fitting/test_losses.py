@@ -66,8 +66,8 @@ def test_structure_of_a_step_is_its_height_over_all_differences_at_each_scale():
     assert losses.structure(step, flat, (0, 0, 8, 8)).item() == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("box", [(2, 3, 7, 10), (0, 0, 4, 4), (3, 3, 4, 5)])
-def test_odd_and_tiny_boxes_have_finite_structure(box):
+@pytest.mark.parametrize("box", [(0, 0, 4, 4), (3, 3, 4, 5)])
+def test_tiny_boxes_have_finite_structure(box):
     assert torch.isfinite(losses.structure(image(), image(1), box))
 
 
@@ -101,7 +101,8 @@ def test_distances_of_covariances_count_off_diagonals_once_so_that_a_turn_shows(
     turned = (turn @ matrix @ turn.T)[:, rows, columns]
     loss = losses.isotropy_of_covars(covars(), turned, near)
     spacing = (covars()[near] - covars()[:, None]).norm(dim=-1).mean()
-    assert 0 < loss < 0.3 * spacing  # not quite invariant, and its docstring says so
+    # Not quite invariant, and its docstring says so.
+    assert 0.01 * spacing < loss < 0.3 * spacing
 
 
 def test_gradients_are_those_of_differences():

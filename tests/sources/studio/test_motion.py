@@ -5,7 +5,7 @@ from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body
 from deblur_avatar.avatar.body import posed_joints
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.sources.studio.motion import MOTIONS, Moves, move
+from deblur_avatar.sources.studio.motion import MOTIONS, Moves, _moves, move
 
 TRAINING = 80 / 60  # seconds, as in params.yaml
 
@@ -73,6 +73,16 @@ def test_a_pose_depends_on_its_time_alone():
     times = torch.tensor([0.1, 0.9])
     together, alone = move("turn", times, TRAINING), move("turn", times[1:], TRAINING)
     torch.testing.assert_close(together.body_pose[1:], alone.body_pose)
+
+
+def test_turns_about_several_axes_are_made_in_the_order_given():
+    quarter = torch.full((1,), torch.pi / 2).double()
+    turns = {"left_shoulder": [(2, -quarter), (0, -quarter)]}  # lower the arm, then raise it ahead
+    moves = _moves(turns, [], torch.zeros(1, 3).double())
+    shoulder = axis_angle_to_matrix(moves.body_pose[0, SMPL_JOINT_NAMES.index("left_shoulder") - 1])
+    arm = shoulder @ torch.tensor([1.0, 0, 0]).double()
+    torch.testing.assert_close(arm, torch.tensor([0.0, 0, 1]).double())
+    assert moves.global_orient.abs().max() == 0
 
 
 def test_an_unknown_motion_is_refused_with_the_known_ones():

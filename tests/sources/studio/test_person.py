@@ -12,7 +12,7 @@ TIMES = torch.tensor([0.0, 0.34, 0.9])
 
 @pytest.fixture(scope="module")
 def person(body: Body) -> Person:
-    return create_person(body, torch.tensor([0.5, -0.5]))
+    return create_person(body, torch.tensor([2.0, -0.5]))
 
 
 def test_a_posed_person_stands_where_the_body_stands(person: Person):
@@ -22,8 +22,8 @@ def test_a_posed_person_stands_where_the_body_stands(person: Person):
     )
     for clothed, bare in zip(person.posed(moves), bodies.numpy(), strict=True):
         assert clothed.shape == person.drape.vertices.shape
-        np.testing.assert_allclose(clothed.min(0), bare.min(0), atol=0.05)
-        np.testing.assert_allclose(clothed.max(0), bare.max(0), atol=0.05)
+        np.testing.assert_allclose(clothed.min(0), bare.min(0), atol=0.045)
+        np.testing.assert_allclose(clothed.max(0), bare.max(0), atol=0.045)
 
 
 def test_moving_the_person_moves_every_point(person: Person):
@@ -35,12 +35,16 @@ def test_moving_the_person_moves_every_point(person: Person):
 
 
 def test_shape_reaches_the_clothes(body: Body, person: Person):
-    taller = create_person(body, torch.tensor([2.5, -0.5]))
-    ratio = np.ptp(taller.drape.vertices[:, 1]) / np.ptp(person.drape.vertices[:, 1])
-    assert ratio == pytest.approx(1.125 / 1.025, abs=0.01)
+    shorter = create_person(body, torch.tensor([-2.0, -0.5]))
+    ratio = np.ptp(person.drape.vertices[:, 1]) / np.ptp(shorter.drape.vertices[:, 1])
+    assert ratio == pytest.approx(1.1 / 0.9, abs=0.02)
 
 
 def test_hollows_are_darker_than_what_lies_open(person: Person):
-    assert 0 < person.mesh.albedo.max() <= 1
-    bright = person.mesh.albedo[:, 0, 0].max(-1)
-    assert bright.min() < 0.3 * bright.max()
+    centres = person.drape.vertices[person.mesh.faces].mean(1)
+    brightness = person.mesh.albedo[:, 0, 0].sum(-1)
+    neck = np.linalg.norm(centres - (0.0, 0.6, -0.02), axis=1) < 0.06  # inside head and trunk
+    hand = np.abs(centres[:, 0]) > 0.85
+    assert neck.sum() > 10
+    assert brightness[neck].mean() < 0.75 * brightness[hand].mean()
+    assert person.mesh.albedo.max() <= 1
