@@ -45,7 +45,7 @@ class Artifact:
 
     def __post_init__(self) -> None:
         try:
-            with jaxtyped("context"):  # type: ignore[arg-type]
+            with jaxtyped("context"):
                 for name, kind in _fields(type(self)).items():
                     _check(f"{self.schema} {name}", getattr(self, name), kind)
             self.validate()

@@ -141,6 +141,7 @@ class ClipMotion(Trajectory):
     """
 
     kind = "clip"
+    times: Tensor
 
     def __init__(
         self,
@@ -149,7 +150,7 @@ class ClipMotion(Trajectory):
         axis_angle: Float[Tensor, "K J 3"],
         transl: Float[Tensor, "K 3"],
     ) -> None:
-        """Take knots, and the times of each frame's instants and middle in units of their spacing."""
+        """Take knots, and when each frame's instants and middle are, in units of their spacing."""
         super().__init__()
         self.register_buffer("u", u, persistent=False)
         self.register_buffer("times", times)

@@ -13,7 +13,7 @@ SMALL_ANGLE = 1e-4  # radians; below it the Taylor series is exact in float64 to
 
 
 def axis_angle_to_quat(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4"]:
-    """Turn axis-angle vectors into unit quaternions with non-negative real part for angles <= pi."""
+    """Turn axis-angle vectors into unit quaternions, real part first, for angles <= pi positive."""
     squared = axis_angle.square().sum(-1, keepdim=True)
     small = squared < SMALL_ANGLE**2
     angle = torch.where(small, torch.ones_like(squared), squared).sqrt()

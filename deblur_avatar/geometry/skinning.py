@@ -107,7 +107,7 @@ def _levels(
             raise ValueError(f"joint {joint} has parent {parent}: parents must come first")
         depth.append(0 if parent < 0 else depth[parent] + 1)
     order = [[j for j, d in enumerate(depth) if d == level] for level in range(max(depth) + 1)]
-    rows = [[]] + [
+    rows: list[list[int]] = [[]] + [
         [order[level - 1].index(parents[j]) for j in order[level]] for level in range(1, len(order))
     ]
     flat = [j for members in order for j in members]

@@ -1,8 +1,8 @@
 """Smooth curves through time: uniform cubic B-splines of vectors and of rotations.
 
-Conventions. K knots stand at times 0, 1, ..., K - 1 in units of their spacing. A curve is defined from
-the first knot to the last; its ends are extended by repeating the outermost knots. Four knots shape
-it at any time, so moving one moves only what is near. M evaluation times.
+Conventions. K knots stand at times 0, 1, ..., K - 1 in units of their spacing. A curve is defined
+from the first knot to the last; its ends are extended by repeating the outermost knots. Four knots
+shape it at any time, so moving one moves only what is near. M evaluation times.
 """
 
 import torch

@@ -170,8 +170,10 @@ class _Rasterize(torch.autograd.Function):
 
         means, covars = means.contiguous(), covars.contiguous()
         opacities, colors = opacities.contiguous(), colors.contiguous()
-        inputs = {"means": means, "covars": covars, "opacities": opacities, "colors": colors}
-        inputs |= {"viewmat": viewmat.contiguous(), "K": K.contiguous()}
+        inputs: dict[str, Tensor | None] = {
+            **{"means": means, "covars": covars, "opacities": opacities, "colors": colors},
+            **{"viewmat": viewmat.contiguous(), "K": K.contiguous()},
+        }
         inputs["background"] = background.contiguous() if background is not None else None
         if background is not None and not bool(torch.isfinite(background).all()):
             raise ValueError(not_finite("background"))

@@ -1,6 +1,6 @@
 """Scenes of random Gaussians, and the ways in which two rasterizations are compared."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import pytest
@@ -71,6 +71,15 @@ class Scene:
             depth=self.depth,
             backend=backend,
         )
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    """The scenes are small; on a busy machine threads would only wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 MakeScene = Callable[..., Scene]
