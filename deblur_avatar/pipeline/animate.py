@@ -73,11 +73,12 @@ def animate(
     logger.info("%d frames of %s at %g a second", len(poses.transl), params.motion, params.fps)
     model = AvatarModel.from_artifact(avatar, body, device)
     size = params.image_size
-    frames = [
-        draw(model, poses.at([index]), K.to(device), viewmat.to(device), size, size)[0][0]
-        for index in progress(range(len(poses.transl)), "animate")
-    ]
-    return (torch.stack(frames).cpu() * 255).round().to(torch.uint8)
+    K, viewmat = K.to(device), viewmat.to(device)
+    frames = []
+    for index in progress(range(len(poses.transl)), "animate"):
+        image, _ = draw(model, poses.at([index]), K, viewmat, size, size)
+        frames.append((image[0].cpu() * 255).round().to(torch.uint8))
+    return torch.stack(frames)
 
 
 def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:

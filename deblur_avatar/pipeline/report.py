@@ -203,7 +203,7 @@ def _headline(scenes: Mapping[str, Results]) -> list[dict[str, str]]:
                 }
             )
         cost = _cost_of_blur(results)
-        if cost is not None:
+        if cost is not None and cost > 0:
             figures.append({"number": f"{cost:.1f} dB", "caption": f"what blur costs on {scene}"})
     return figures
 
