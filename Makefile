@@ -15,10 +15,10 @@ $(STAMP): pyproject.toml constraints.txt
 	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt \
-	  anny roma mediapipe
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt \
+	  anny roma mediapipe
 	@touch $(STAMP)
 
 repro: $(STAMP)
