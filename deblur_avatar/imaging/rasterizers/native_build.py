@@ -11,6 +11,7 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -32,11 +33,15 @@ FLAGS: Final = (
 )
 OPENMP: Final = "-fopenmp"
 
-COMPILE_TIMEOUT = 300  # seconds; it takes three
+COMPILE_TIMEOUT = 300  # seconds; it takes three, with sanitizers thirty
 
 
 class BuildError(RuntimeError):
     """No compiler, or one that cannot compile the source."""
+
+
+class _CompilerError(BuildError):
+    """The compiler refuses the source or a flag."""
 
 
 def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:
@@ -56,7 +61,7 @@ def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:
     if not library.exists():
         try:
             _compile(source, compiler, [*flags, OPENMP], library)
-        except BuildError:
+        except _CompilerError:
             # Some compilers come without OpenMP; one thread is better than none.
             _compile(source, compiler, flags, library)
     return ctypes.CDLL(str(library))
@@ -93,15 +98,28 @@ def _compile(source: Path, compiler: list[str], flags: list[str], library: Path)
         # Beside its final place: a move within one file system is atomic.
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             built = Path(folder) / library.name
-            command = [*compiler, *flags, str(source), "-o", str(built)]
-            subprocess.run(
-                command, check=True, capture_output=True, text=True, timeout=COMPILE_TIMEOUT
-            )
+            _run([*compiler, *flags, str(source), "-o", str(built)])
             built.replace(library)
-    except subprocess.CalledProcessError as error:
-        raise BuildError(f"{shlex.join(command)} failed:\n{error.stderr}") from error
-    except (OSError, subprocess.TimeoutExpired) as error:
+    except OSError as error:
         raise BuildError(f"cannot build {source.name}: {error}") from error
+
+
+def _run(command: list[str]) -> None:
+    # What is preloaded into this process, a sanitizer say, is not meant for the compiler.
+    environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
+    # The compiler starts processes of its own; in a session of its own all can be stopped at once.
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
+    ) as process:
+        try:
+            _, said = process.communicate(timeout=COMPILE_TIMEOUT)
+        except BaseException as error:
+            os.killpg(process.pid, signal.SIGKILL)
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise BuildError(f"{shlex.join(command)} took over {COMPILE_TIMEOUT} s") from error
+            raise
+    if process.returncode != 0:
+        raise _CompilerError(f"{shlex.join(command)} failed:\n{said}")
 
 
 def _key(source: Path, compiler: list[str], flags: list[str]) -> str:

@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,11 @@ def pretend_compiler(path: Path, script: str) -> str:
     path.write_text(f"#!/bin/sh\n{script}\n")
     path.chmod(0o755)
     return str(path)
+
+
+def is_running(pid: str) -> bool:
+    state = Path(f"/proc/{pid}/stat")
+    return state.exists() and ") Z " not in state.read_text()
 
 
 def test_a_source_is_compiled_once_and_called(cache, source):
@@ -107,6 +113,27 @@ def test_a_missing_compiler_is_named(cache, source, monkeypatch):
 def test_what_the_compiler_says_is_passed_on(cache, source):
     with pytest.raises(BuildError, match="ANSWER"):
         load_library(source)
+    assert list(cache.iterdir()) == []
+
+
+def test_a_compiler_that_never_ends_is_stopped_with_all_it_started(
+    cache, source, tmp_path, monkeypatch
+):
+    pid = tmp_path / "pid"
+    monkeypatch.setenv(
+        "CXX",
+        pretend_compiler(
+            tmp_path / "slow",
+            f'case "$1" in --version) echo 1; exit;; esac; sleep 60 & echo $! > {pid}; wait',
+        ),
+    )
+    monkeypatch.setattr(native_build, "COMPILE_TIMEOUT", 2)
+    with pytest.raises(BuildError, match="took over 2 s"):
+        load_library(source, ["ANSWER=1"])
+    deadline = time.monotonic() + 5
+    while is_running(pid.read_text().strip()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not is_running(pid.read_text().strip())
     assert list(cache.iterdir()) == []
 
 

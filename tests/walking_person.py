@@ -1,0 +1,78 @@
+"""A capsule person who walks and waves, as a perfect detector sees her in several cameras."""
+
+import math
+
+import numpy as np
+import torch
+
+from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body, Cameras, Poses
+from deblur_avatar.avatar.body import joint_transforms, posed_vertices, shaped_joints
+from deblur_avatar.fitting.body_landmarks import landmark_map
+from deblur_avatar.fitting.landmarks import COUNT, Landmarks
+from deblur_avatar.geometry.cameras import look_at, project
+from deblur_avatar.imaging.mesh_rendering import View, cast_rays
+
+FPS = 60.0
+SIZE = (96, 128)  # width and height of the pictures
+EYES = ((0.0, 0.3, 3.5), (3.0, 0.2, 1.5), (-3.0, 0.4, 1.5), (0.4, 0.2, -3.5))
+
+
+def walking_poses(body: Body, frames: int) -> Poses:
+    """Turns, steps, bends her knees and waves; shape numbers are not zero."""
+    time = torch.arange(frames) / FPS
+    pose = torch.zeros(frames, len(body.parents) - 1, 3)
+
+    def bend(joint: str, axis: int, degrees: torch.Tensor) -> None:
+        pose[:, SMPL_JOINT_NAMES.index(joint) - 1, axis] = torch.deg2rad(degrees)
+
+    swing = torch.sin(2 * math.pi * 1.5 * time)
+    bend("left_shoulder", 2, -60 + 25 * swing)
+    bend("right_shoulder", 2, 50 + 20 * swing)
+    bend("left_elbow", 1, -50 + 20 * swing)
+    bend("left_hip", 0, -30 * swing - 20)
+    bend("left_knee", 0, 40 + 20 * swing)
+    bend("spine2", 1, 10 * swing)
+    turn = torch.stack([0 * time, 0.4 + 1.5 * time, 0 * time], dim=-1)
+    place = torch.stack([0.8 * time, 0.02 * swing, 0.1 + 0 * time], dim=-1)
+    betas = torch.zeros(body.shape_dirs.shape[2])
+    betas[:2] = torch.tensor([0.6, -0.5])
+    return Poses(betas=betas, global_orient=turn, body_pose=pose, transl=place)
+
+
+def ring_of_cameras(count: int = 4) -> Cameras:
+    up, width, height = torch.tensor([0.0, 1.0, 0.0]), *SIZE
+    K = torch.tensor([[1.5 * width, 0, width / 2], [0, 1.5 * width, height / 2], [0, 0, 1]])
+    return Cameras(
+        Ks=K.repeat(count, 1, 1),
+        viewmats=torch.stack(
+            [look_at(torch.tensor(eye), torch.zeros(3), up) for eye in EYES[:count]]
+        ),
+        distortion=torch.zeros(count, 5),
+        sizes=torch.tensor([SIZE] * count),
+        names=tuple(f"cam{index}" for index in range(count)),
+    )
+
+
+def detect_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) -> Landmarks:
+    """Landmarks where the body has them, mattes as its mesh fills them."""
+    motion = poses.betas, poses.global_orient, poses.body_pose, poses.transl
+    marks = landmark_map()
+    joints = shaped_joints(body, poses.betas)
+    positions = marks.positions(joint_transforms(body, *motion), joints, marks.offsets)
+    lens = cameras.Ks[camera], cameras.viewmats[camera]
+    frames = len(poses.transl)
+    points, visibility = torch.zeros(frames, COUNT, 2), torch.zeros(frames, COUNT)
+    points[:, list(marks.rows)] = project(positions, *lens)[0]
+    visibility[:, list(marks.rows)] = 1.0
+    view, faces = View.of(cameras, camera, samples_per_axis=1), body.faces.numpy()
+    rays = view.directions.reshape(-1, 3)
+    mattes = [
+        (cast_rays(vertices, faces, view.centre, rays).triangle >= 0).reshape(SIZE[::-1])
+        for vertices in posed_vertices(body, *motion).numpy()
+    ]
+    return Landmarks(
+        found=torch.ones(frames, dtype=torch.bool),
+        points=points,
+        visibility=visibility,
+        mattes=torch.from_numpy(np.stack(mattes).astype(np.uint8) * 255),
+    )
