@@ -52,7 +52,7 @@ def compared(results: Mapping[str, Result]) -> dict[str, Result]:
 
     def image(method: str, metric: str) -> float | None:
         found = results.get(method, {}).get("image", {}).get(metric)
-        return found if found is not None and math.isfinite(found) else None
+        return float(found) if found is not None and math.isfinite(found) else None
 
     filled = {}
     for method, result in results.items():

@@ -20,7 +20,7 @@ def test_recovery_counts_down_where_smaller_is_better():
 
 @pytest.mark.parametrize(
     ("value", "blind", "oracle", "sign"),
-    [(25.0, 24.0, 24.05, 1), (25.0, 28.0, 24.0, 1), (0.1, 0.1, 0.2, -1), (None, 1, 2, 1),
+    [(25.0, 24.0, 24.05, 1), (25.0, 28.0, 24.0, 1), (0.1, 0.1, 0.2, -1), (None, 1.0, 2.0, 1),
      (1.0, None, 2.0, 1), (1.0, 0.0, None, 1)],
 )  # fmt: skip
 def test_recovery_is_left_open_where_blur_costs_nothing_or_is_unknown(value, blind, oracle, sign):
@@ -50,6 +50,11 @@ def test_without_a_ceiling_or_an_oracle_the_rest_still_stands():
     assert filled["paper"]["gap_to_ceiling_db"] is None
     assert filled["paper"]["recovery"]["psnr"] is None
     assert filled["paper"]["image"] == {"psnr": 25.0}
+
+
+def test_whole_numbers_count_as_numbers():
+    filled = compared({"blind": result(psnr=24), "oracle": result(psnr=28), "a": result(psnr=25)})
+    assert filled["a"]["recovery"]["psnr"] == 0.25
 
 
 def test_results_that_come_in_are_not_changed():

@@ -33,7 +33,7 @@ FLAGS: Final = (
 )
 OPENMP: Final = "-fopenmp"
 
-COMPILE_TIMEOUT = 300  # seconds; it takes three, with sanitizers thirty
+COMPILE_TIMEOUT = 600  # seconds; it takes three, with sanitizers thirty, on a busy machine more
 
 
 class BuildError(RuntimeError):
