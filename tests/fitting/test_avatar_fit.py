@@ -2,9 +2,9 @@ import pytest
 import torch
 
 from deblur_avatar.artifacts import Checkpoint
+from deblur_avatar.avatar import model as model_module
 from deblur_avatar.avatar.model import AvatarModel, draw
 from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants, trajectory_from_artifact
-from deblur_avatar.avatar.skinning_field import surface_weights
 from deblur_avatar.config import ModelParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import avatar_fit
@@ -326,27 +326,47 @@ def test_gaussians_are_added_between_start_and_stop_and_up_to_the_cap(begin, sta
     assert len(set(counts[9:])) == 1
 
 
-def test_who_is_next_to_whom_is_looked_up_again_when_gaussians_change_but_not_their_number(
-    begin, start
+@pytest.fixture
+def look_ups(monkeypatch):
+    """Which look-ups have been made: of neighbours, and of places on the body."""
+    made = []
+
+    def watch(module, name):
+        original = getattr(module, name)
+
+        def watched(*arguments):
+            made.append(name)
+            return original(*arguments)
+
+        monkeypatch.setattr(module, name, watched)
+
+    watch(avatar_fit, "neighbour_indices")
+    watch(model_module, "surface_weights")
+    return made
+
+
+BOTH = ["neighbour_indices", "surface_weights"]
+
+
+def test_gaussians_are_looked_up_again_after_an_edit_even_if_their_number_is_the_same(
+    begin, start, look_ups
 ):
     params = start.model_copy(update={"model": PLAIN})
-    params = changed(without_densification(params), "densify", start=1, every=1)
+    params = changed(without_densification(params), "densify", start=1, every=2000)
     fit = begin(params=params, last=15)
     fit.run(1, 2, "sharp", "mean", quiet)  # the second step edits, and changes nothing
-    with torch.no_grad():
-        fit.model.gaussians.means.copy_(fit.model.gaussians.means.flip(0))
-    means = fit.model.gaussians.means.detach().clone()
-    looked_up = []
-    posed = fit.model.weights_at
-
-    def watch(points):
-        looked_up.append(posed(points))
-        return looked_up[-1]
-
-    fit.model.weights_at = watch
+    assert sorted(look_ups) == BOTH
     fit.step(3, "sharp", "mean")
-    expected = surface_weights(means, fit.model.canonical_vertices, fit.model.body)
-    assert torch.equal(looked_up[0], expected)
+    assert sorted(look_ups) == sorted(2 * BOTH)
+
+
+def test_gaussians_are_looked_up_again_every_hundred_steps(begin, start, look_ups):
+    params = without_densification(start.model_copy(update={"model": PLAIN}))
+    fit = begin(params=params, last=15_000)
+    fit.run(98, 99, "sharp", "mean", quiet)
+    assert sorted(look_ups) == BOTH
+    fit.run(100, 101, "sharp", "mean", quiet)
+    assert sorted(look_ups) == sorted(2 * BOTH)
 
 
 def continued(fit, motion, checkpoint, seen, params, schedule, last):

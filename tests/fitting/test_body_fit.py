@@ -78,16 +78,6 @@ def test_a_view_with_left_and_right_swapped_does_no_harm(
     assert "camera cam1 agrees with the others on" in caplog.text
 
 
-def test_mattes_bring_the_shape_that_landmarks_cannot_tell(
-    body: Body, truth: Poses, people: list[Landmarks], monkeypatch: pytest.MonkeyPatch
-):
-    # The second shape number makes limbs stouter and leaves joints where they are.
-    with_mattes = fit(body, people).poses.betas[1]
-    monkeypatch.setattr(body_fit, "OUTLINE_WEIGHT", 0.0)
-    without_mattes = fit(body, people).poses.betas[1]
-    assert abs(with_mattes - truth.betas[1]) < 0.6 * abs(without_mattes - truth.betas[1])
-
-
 def test_frames_without_a_person_are_bridged(body: Body, truth: Poses, people: list[Landmarks]):
     gap = [4, 5]
     found = fit(body, [without(person, gap) for person in people])

@@ -84,15 +84,6 @@ def test_a_person_emits_no_more_than_her_coverage():
     assert (lifted <= mattes[..., None]).all()
 
 
-def test_a_matte_that_spills_over_is_trimmed_to_the_person():
-    frames, mattes = walk()
-    spilled = mattes.clone()
-    spilled[3, 6:18, 24:34] = 255  # the person ends at column 22
-    trimmed = trim_mattes(frames, spilled, background_plate(frames, mattes))
-    assert trimmed[3, 6:18, 28:].max() == 0
-    assert (trimmed[3, 8:16, 16:20] == 255).all()
-
-
 def test_clothes_of_the_backgrounds_colour_stay():
     frames, mattes = walk()
     plate = background_plate(frames, mattes)

@@ -35,13 +35,24 @@ def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, start, schedule
     assert model.params == start.model
 
 
-def test_the_first_gaussians_are_as_many_as_the_schedule_says(warm, start, schedule):
+def test_the_first_gaussians_are_as_many_as_the_schedule_says_and_drawn_from_the_generator(
+    warm, start, schedule, observations
+):
+    never = {"start": 15_000, "stop": 15_000}
     still = start.model_copy(
-        update={"densify": start.densify.model_copy(update={"start": 15_000, "stop": 15_000})}
+        update={
+            "densify": start.densify.model_copy(update=never),
+            "optimiser": start.optimiser.model_copy(update={"gaussians_start": 15_000}),
+        }
     )
-    avatar, checkpoint, _ = warm(still)
+    avatar, checkpoint, _ = warm(still, seed=5)
     assert len(avatar.means) == schedule.gaussians
     assert checkpoint.tensors["densifier.first_count"].item() == schedule.gaussians
+    drawn = AvatarModel.create(
+        start.model, observations.body, observations.poses.betas, 5, schedule.gaussians, "srgb",
+        torch.Generator().manual_seed(5),
+    )  # fmt: skip
+    assert torch.equal(avatar.means, drawn.gaussians.means)
 
 
 def test_a_warm_up_knows_no_motion(warm):

@@ -1,0 +1,255 @@
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from deblur_avatar.artifacts import BlurryClip, Body, Observations, Poses
+from deblur_avatar.avatar.body import posed_joints, posed_vertices
+from deblur_avatar.config import PreprocessParams
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.fitting import body_fit
+from deblur_avatar.fitting.landmarks import Landmarks
+from deblur_avatar.geometry.cameras import project
+from deblur_avatar.imaging.resampling import crop_and_scale
+from deblur_avatar.pipeline.preprocess import Preprocessed, preprocess
+from tests.walking_person import FPS, SIZE, detect_perfectly, ring_of_cameras, walking_poses
+
+FRAMES, TRAIN, RECORDED = 9, 1, (0, 1, 3)
+CAMERAS = ring_of_cameras()
+BACKGROUND, PERSON = (60, 80, 40), (210, 150, 90)
+
+
+@pytest.fixture(scope="module")
+def poses(body: Body) -> Poses:
+    return walking_poses(body, FRAMES)
+
+
+@pytest.fixture(scope="module")
+def people(body: Body, poses: Poses) -> dict[int, Landmarks]:
+    return {camera: detect_perfectly(body, poses, CAMERAS, camera) for camera in RECORDED}
+
+
+@pytest.fixture(scope="module")
+def clip(poses: Poses, people: dict[int, Landmarks]) -> BlurryClip:
+    """Flat colours; the first pixel of each frame tells its camera, the second its number."""
+    mattes = torch.stack([people[camera].mattes for camera in RECORDED])
+    inside = (mattes > 0)[..., None]
+    frames = torch.where(inside, torch.tensor(PERSON), torch.tensor(BACKGROUND)).to(torch.uint8)
+    for row, camera in enumerate(RECORDED):
+        frames[row, :, 0, 0, 0] = camera
+    train = RECORDED.index(TRAIN)
+    return BlurryClip(
+        frames=frames,
+        mattes=mattes,
+        sharp_frames=frames[train] // 2,
+        sharp_mattes=mattes[train],
+        recorded=RECORDED,
+        train_camera=TRAIN,
+        cameras=CAMERAS,
+        frame_indices=tuple(range(2, 2 + FRAMES)),
+        timestamps=torch.arange(2, 2 + FRAMES) / FPS,
+        exposure=3 / FPS,
+        light="srgb",
+        held_out_from=7,
+        initial=poses,
+        exact=dataclasses.replace(poses, transl=poses.transl + 1),
+    )
+
+
+def params(**changes: Any) -> PreprocessParams:
+    given: dict[str, Any] = {
+        "poses": "given",
+        "masks": "given",
+        "background": "none",
+        "margin": 0.1,
+        "validation_stride": 4,
+    }
+    return PreprocessParams(**{**given, **changes})
+
+
+def nobody(frames: torch.Tensor) -> Landmarks:
+    raise AssertionError("what is given is not to be detected")
+
+
+def run(
+    clip: BlurryClip,
+    body: Body,
+    detect: Callable[[torch.Tensor], Landmarks] = nobody,
+    image_height: int = 1000,
+    **changes: Any,
+) -> Preprocessed:
+    return preprocess(clip, body, params(**changes), image_height=image_height, detect=detect)
+
+
+def test_a_clip_of_the_size_wanted_comes_out_unchanged(clip: BlurryClip, body: Body):
+    made = run(clip, body, image_height=SIZE[1])
+    row = RECORDED.index(TRAIN)
+    assert torch.equal(made.blurred.frames, clip.frames[row])
+    assert torch.equal(made.blurred.mattes, clip.mattes[row])
+    assert torch.equal(made.blurred.cameras.Ks, CAMERAS.Ks)
+    assert made.blurred.crops.tolist() == [[0, 0, *SIZE]] * 4
+    assert made.blurred.frame_indices == clip.frame_indices
+    assert made.blurred.exposure == clip.exposure
+
+
+def test_sharp_and_exact_observations_differ_in_frames_and_poses_alone(
+    clip: BlurryClip, body: Body
+):
+    made = run(clip, body)
+    assert made.sharp is not None
+    assert made.exact is not None
+    assert torch.equal(made.sharp.frames, clip.sharp_frames)
+    assert torch.equal(made.sharp.poses.transl, clip.initial.transl)
+    assert torch.equal(made.exact.frames, clip.sharp_frames)
+    assert torch.equal(made.exact.poses.transl, clip.exact.transl)
+    assert (made.sharp.exposure, made.exact.exposure) == (0.0, 0.0)
+    for field in ("train", "validation", "cameras", "crops", "weights"):
+        values = [getattr(kind, field) for kind in (made.blurred, made.sharp, made.exact)]
+        assert all(value is values[0] for value in values)
+
+
+def test_what_a_clip_does_not_know_is_not_made(clip: BlurryClip, body: Body, tmp_path: Path):
+    whole = run(clip, body)
+    whole.save(tmp_path)
+    assert Observations.load(tmp_path / "exact").train == whole.blurred.train
+    blurred_only = dataclasses.replace(clip, sharp_frames=None, sharp_mattes=None, exact=None)
+    made = run(blurred_only, body)
+    assert (made.sharp, made.exact) == (None, None)
+    made.save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["blurred"]
+
+
+def test_large_frames_are_cropped_to_the_person_and_every_camera_with_them(
+    clip: BlurryClip, body: Body, poses: Poses
+):
+    made = run(clip, body, image_height=40, margin=0.05)
+    vertices = posed_vertices(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    for camera, size in enumerate(made.blurred.cameras.sizes.tolist()):
+        x, y, width, height = made.blurred.crops[camera].int().tolist()
+        assert size[1] == 40
+        assert size[0] == pytest.approx(width * 40 / height, abs=0.5)
+        lens = CAMERAS.Ks[camera], CAMERAS.viewmats[camera]
+        pixels = project(vertices, *lens)[0]
+        assert (pixels >= torch.tensor([x, y])).all()
+        assert (pixels <= torch.tensor([x + width, y + height])).all()
+        # The cropped camera sees the same points at the same places of its picture.
+        cropped = made.blurred.cameras
+        again = project(vertices, cropped.Ks[camera], cropped.viewmats[camera])[0]
+        scale = torch.tensor([size[0] / width, size[1] / height])
+        torch.testing.assert_close(again, (pixels - torch.tensor([x, y])) * scale)
+    crop = tuple(made.blurred.crops[TRAIN].int().tolist())
+    expected = crop_and_scale(
+        clip.frames[RECORDED.index(TRAIN)], crop, made.blurred.frames.shape[2:0:-1]
+    )
+    assert torch.equal(made.blurred.frames, expected)
+
+
+def test_frames_are_never_scaled_up(clip: BlurryClip, body: Body):
+    made = run(clip, body, image_height=SIZE[1] - 1, margin=0.0)
+    assert made.blurred.crops[TRAIN, 3] < SIZE[1] - 1
+    assert made.blurred.cameras.sizes[TRAIN].tolist() == made.blurred.crops[TRAIN, 2:].tolist()
+
+
+def test_training_frames_end_before_the_shutter_opens_on_the_held_out_part(
+    clip: BlurryClip, body: Body
+):
+    made = run(clip, body).blurred
+    # Frame 7 is the first held out; frame 6 is open until half way to 7.5, frame 5 until 6.5.
+    assert made.validation == (2,)
+    assert made.train == (0, 1, 3, 4, 5)
+    instant = run(dataclasses.replace(clip, exposure=None), body).blurred
+    assert instant.train == (0, 1, 3, 4, 5)
+    assert instant.validation == (2, 6)
+
+
+def test_a_black_matte_sets_its_frame_aside_with_a_warning(
+    clip: BlurryClip, body: Body, caplog: pytest.LogCaptureFixture
+):
+    mattes = clip.mattes.clone()
+    mattes[RECORDED.index(TRAIN), 3] = 0
+    mattes[0, 4] = 0  # not the training camera
+    made = run(dataclasses.replace(clip, mattes=mattes), body)
+    assert made.blurred.train == (0, 1, 4, 5)
+    assert made.blurred.weights.tolist() == [1, 1, 1, 0, 1, 1, 1, 1, 1]
+    assert made.metrics["frames"] == {
+        "total": 9, "without_person": 1, "train": 4, "validation": 1,
+    }  # fmt: skip
+    assert "1 frames without a person are skipped: [3]" in caplog.text
+
+
+def test_a_clip_of_black_mattes_is_refused(clip: BlurryClip, body: Body):
+    black = dataclasses.replace(clip, mattes=torch.zeros_like(clip.mattes))
+    with pytest.raises(ArtifactError, match="every mask is black"):
+        run(black, body)
+
+
+def test_what_was_promised_must_be_there(clip: BlurryClip, body: Body):
+    with pytest.raises(ArtifactError, match="no initial poses; set preprocess.poses to estimated"):
+        run(dataclasses.replace(clip, initial=None), body)
+    with pytest.raises(ArtifactError, match="no mattes; set preprocess.masks to estimated"):
+        run(dataclasses.replace(clip, mattes=None), body)
+    short = dataclasses.replace(clip.initial, betas=torch.zeros(7))
+    with pytest.raises(ArtifactError, match="initial poses have 23 joints and 7 shape numbers"):
+        run(dataclasses.replace(clip, initial=short), body)
+
+
+def test_a_person_outside_the_picture_is_refused(clip: BlurryClip, body: Body):
+    away = dataclasses.replace(clip.initial, transl=clip.initial.transl + 20)
+    with pytest.raises(ArtifactError, match="camera cam.*check the calibration"):
+        run(dataclasses.replace(clip, initial=away), body, image_height=40)
+
+
+def test_distortion_is_taken_out_once(clip: BlurryClip, body: Body):
+    lens = torch.tensor([-0.2, 0.05, 0.0, 0.0, 0.0]).repeat(4, 1)
+    bent = dataclasses.replace(clip, cameras=dataclasses.replace(CAMERAS, distortion=lens))
+    made = run(bent, body)
+    assert not made.blurred.cameras.distortion.any()
+    assert made.sharp is not None
+    row = RECORDED.index(TRAIN)
+    changed = (made.blurred.mattes != clip.mattes[row]).float().mean()
+    assert 0.002 < changed < 0.2
+    # Frame and matte were bent alike: the person's colour is where her matte is.
+    inside = made.blurred.mattes == 255
+    assert (made.blurred.frames[inside] == torch.tensor(PERSON)).float().mean() > 0.98
+
+
+class Detector:
+    """Finds in each frame what is truly there, by the camera's mark in its first pixel."""
+
+    def __init__(self, people: dict[int, Landmarks]) -> None:
+        self.people = people
+
+    def __call__(self, frames: torch.Tensor) -> Landmarks:
+        mark = int(frames[0, 0, 0, 0])
+        return self.people[TRAIN if mark == TRAIN // 2 and frames[0, 5, 5, 0] < 50 else mark]
+
+
+def test_masks_and_poses_are_estimated_where_they_are_not_given(
+    clip: BlurryClip,
+    body: Body,
+    poses: Poses,
+    people: dict[int, Landmarks],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 80)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 40)
+    unknown = dataclasses.replace(clip, mattes=None, sharp_mattes=None, initial=None, exact=None)
+    made = run(
+        unknown, body, Detector(people), poses="estimated", masks="estimated", background="median"
+    )
+    found = made.blurred.poses
+    joints = [
+        posed_joints(body, p.betas, p.global_orient, p.body_pose, p.transl) for p in (found, poses)
+    ]
+    assert (joints[0] - joints[1]).norm(dim=-1).mean() < 0.03
+    assert made.exact is None
+    assert made.sharp is not None
+    assert set(made.metrics["fit"]) == {"cam0", "cam1", "cam3"}
+    assert made.metrics["fit"]["cam1"]["iou"] > 0.75
+    # The person is on black, background and all.
+    outside = made.blurred.mattes == 0
+    assert made.blurred.frames[outside].max() == 0
+    assert (made.blurred.frames[made.blurred.mattes == 255] == torch.tensor(PERSON)).all()
