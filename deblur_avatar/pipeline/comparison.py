@@ -68,6 +68,22 @@ def compared(results: Mapping[str, Result]) -> dict[str, Result]:
     return filled
 
 
+def pooled(scenes: Mapping[str, Mapping[str, Result]], method: str) -> Result:
+    """One method's results averaged over the scenes it was run on.
+
+    Recovery is that of the averages, not the average of recoveries, which a scene with little blur
+    would rule: blind and oracle are averaged over the same scenes.
+    """
+    own = {scene: results for scene, results in scenes.items() if method in results}
+    means = {
+        other: averaged([results[other] for results in own.values()])
+        for other in dict.fromkeys((method, FLOOR, BOUND))
+        if all(other in results for results in own.values())
+    }
+    gap = means[method].get("gap_to_ceiling_db")
+    return compared(means)[method] | {"gap_to_ceiling_db": gap, "scenes": list(own)}
+
+
 def averaged(results: Iterable[Result]) -> Result:
     """Mean of each number over several scenes, over those where it was measured.
 

@@ -17,7 +17,7 @@ import numpy as np
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
-from deblur_avatar.pipeline.comparison import averaged, compared
+from deblur_avatar.pipeline.comparison import compared, pooled
 from deblur_avatar.pipeline.picture_strips import (
     Picture,
     Strip,
@@ -162,11 +162,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _summary(scenes: Mapping[str, Results]) -> dict[str, Any]:
     methods = dict.fromkeys(method for results in scenes.values() for method in results)
     return {
-        "methods": {
-            method: averaged([r[method] for r in scenes.values() if method in r])
-            | {"scenes": [scene for scene, r in scenes.items() if method in r]}
-            for method in methods
-        },
+        "methods": {method: pooled(scenes, method) for method in methods},
         "scenes": {scene: dict(results) for scene, results in scenes.items()},
     }
 

@@ -113,7 +113,7 @@ def results_table(
     cells: dict[str, list[Cell]] = {method: [] for method in methods}
     for column in columns:
         values = {method: look_up(results[method], column.path) for method in methods}
-        ranks = _ranks({m: values[m] for m in contestants}, column.better)
+        ranks = _ranks({m: _rounded(values[m], column) for m in contestants}, column.better)
         for method, value in values.items():
             cells[method].append(Cell(shown(value, column, missing), ranks.get(method)))
     return Table(
@@ -168,6 +168,11 @@ def plain(table: Table) -> str:
         ).rstrip()
         for row in rows
     )
+
+
+def _rounded(value: float | None, column: Column) -> float | None:
+    """The number that is shown: what looks equal shares a place."""
+    return None if value is None else round(value * column.factor, column.digits)
 
 
 def _ranks(values: Mapping[str, float | None], better: int) -> dict[str, int]:

@@ -1,6 +1,6 @@
 import pytest
 
-from deblur_avatar.pipeline.comparison import averaged, compared, recovery
+from deblur_avatar.pipeline.comparison import averaged, compared, pooled, recovery
 
 
 def result(**image):
@@ -78,3 +78,25 @@ def test_scenes_are_averaged_over_what_was_measured():
 def test_one_scene_is_its_own_average():
     only = {"method": "m", "image": {"psnr": 20.0, "lpips": None}, "model": {"parts": ["a", "b"]}}
     assert averaged([only]) == only
+
+
+def test_recovery_over_scenes_is_that_of_the_averages():
+    scenes = {
+        "fast": {"blind": result(psnr=20.0), "oracle": result(psnr=24.0), "a": result(psnr=23.0)},
+        "slow": {"blind": result(psnr=20.0), "oracle": result(psnr=20.2), "a": result(psnr=19.0)},
+        "real": {"blind": result(psnr=10.0)},
+    }
+    mean = pooled(scenes, "a")
+    assert mean["scenes"] == ["fast", "slow"]
+    assert mean["image"]["psnr"] == 21.0
+    assert mean["recovery"]["psnr"] == pytest.approx(2.0 / 4.2)  # not (0.75 - 5) / 2
+    assert pooled(scenes, "blind")["scenes"] == ["fast", "slow", "real"]
+    assert pooled(scenes, "blind")["recovery"]["psnr"] is None  # one scene has no oracle
+
+
+def test_the_gap_over_scenes_is_averaged_where_there_is_a_ceiling():
+    scenes = {
+        "a": compared({"ceiling": result(psnr=30.0), "blind": result(psnr=20.0)}),
+        "b": compared({"blind": result(psnr=25.0)}),
+    }
+    assert pooled(scenes, "blind")["gap_to_ceiling_db"] == 10.0

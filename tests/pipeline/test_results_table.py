@@ -45,6 +45,7 @@ def test_equal_numbers_share_a_place_and_a_lone_number_has_none():
         return results_table({m: {"image": {"psnr": v}} for m, v in values.items()}, [PSNR])
 
     assert ranks(of(blind=1.0, paper=3.0, lean=3.0), 0) == {"blind": 2, "paper": 1, "lean": 1}
+    assert ranks(of(blind=1.0, paper=2.001, lean=2.004), 0) == {"blind": 2, "paper": 1, "lean": 1}
     assert ranks(of(blind=2.0, paper=2.0), 0) == {"blind": None, "paper": None}
     assert ranks(of(blind=None, paper=2.0), 0) == {"blind": None, "paper": None}
 
