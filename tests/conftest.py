@@ -127,8 +127,8 @@ def swinging(body: Body) -> Callable[[int, float], Poses]:
 def painted(body: Body) -> Callable[..., AvatarModel]:
     """The avatar that `observations` show, without any network."""
 
-    def make(frames: int = 5, light: str = "srgb") -> AvatarModel:
-        return colourful(body, frames, light=light)
+    def make(frames: int = 5, light: str = "srgb", count: int = 150) -> AvatarModel:
+        return colourful(body, frames, count, light)
 
     return make
 

@@ -1,11 +1,14 @@
+import dataclasses
+
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Checkpoint
+from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Checkpoint
 from deblur_avatar.avatar import model as model_module
+from deblur_avatar.avatar.body import posed_joints
 from deblur_avatar.avatar.model import AvatarModel, draw
 from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants, trajectory_from_artifact
-from deblur_avatar.config import ModelParams
+from deblur_avatar.config import ModelParams, ScheduleParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import avatar_fit
 from deblur_avatar.fitting.avatar_fit import AvatarFit
@@ -448,3 +451,60 @@ def test_isotropy_can_be_switched_off(begin, start):
     params = changed(start, "losses", isotropy_means=0.0, isotropy_covars=0.0, structure=0.0)
     terms = begin(params=params).step(1, "sharp", "mean")
     assert set(terms) == {"l1", "mask", "skinning"}
+
+
+WRIST = SMPL_JOINT_NAMES.index("left_wrist")
+
+
+def rise(body, betas, first, last):
+    """How far the left wrist rises between two poses (axis-angle of all joints, translation)."""
+    joints = [posed_joints(body, betas, pose[0], pose[1:], shift) for pose, shift in (first, last)]
+    return (joints[1] - joints[0])[WRIST, 1].item()
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.0])
+def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without_noise(
+    noise, body, painted, swinging, front, start, observations
+):
+    size, last, ends = 48, 150, swinging(2, 30.0)
+    u = instants(16, "midpoints")[:, None]
+
+    def between(share):
+        body_pose = ends.body_pose[:1] + share[..., None] * ends.body_pose.diff(dim=0)
+        transl = ends.transl[:1] + share * ends.transl.diff(dim=0)
+        return dataclasses.replace(
+            ends, global_orient=torch.zeros(len(share), 3), body_pose=body_pose, transl=transl
+        )
+
+    model, K = painted(2, count=600), front.Ks[0].clone()
+    K[:2] *= size / 24
+    image, alpha = draw(model, between(u), K, front.viewmats[0], size, size, average=True)
+    seen = dataclasses.replace(
+        observations,
+        frames=(255 * image).round().to(torch.uint8),
+        mattes=(255 * alpha).round().to(torch.uint8),
+        cameras=dataclasses.replace(front, Ks=K[None]),
+        poses=between(torch.tensor([[0.5]])),
+        weights=torch.ones(1), frame_indices=(0,), timestamps=torch.zeros(1), train=(0,),
+        validation=(),
+    )  # fmt: skip
+    # The avatar is known; its motion is not.
+    params = start.model_copy(update={"model": PLAIN})
+    params = changed(params, "optimiser", poses=0.01, transl=5e-4, gaussians_start=10**6)
+    params = changed(params, "losses", isotropy_means=0.0, isotropy_covars=0.0)
+    params = changed(params, "densify", start=15_000)
+    generator = torch.Generator().manual_seed(0)
+    motion = PairMotion(seen.poses, instants(5, "midpoints"), noise, generator)
+    schedule = ScheduleParams(warmup=1, trajectory=2, fusion=last, gaussians=1, image_height=size)
+    fit = AvatarFit(model, motion, seen, params, schedule, CPU, generator)
+    fit.run(1, last, "mean", "mean", quiet)
+    poses = torch.cat([ends.global_orient[:, None], ends.body_pose], 1)
+    truth = rise(body, ends.betas, *zip(poses, ends.transl, strict=True))
+    with torch.no_grad():
+        first = motion.start[0], motion.start_transl[0]
+        found = rise(body, ends.betas, first, (motion.end[0], motion.end_transl[0]))
+    assert truth > 0.25  # metres
+    if noise > 0:
+        assert abs(found) == pytest.approx(truth, rel=0.1)
+    else:
+        assert abs(found) < 0.4 * truth  # still near the saddle
