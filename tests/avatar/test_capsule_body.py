@@ -41,12 +41,15 @@ def test_its_right_side_mirrors_its_left():
         if name.startswith("left_"):
             other = SMPL_JOINT_NAMES.index(name.replace("left_", "right_"))
             torch.testing.assert_close(body.joints[index] * mirror, body.joints[other])
+    low, high = body.vertices[:, 0].min(), body.vertices[:, 0].max()
+    torch.testing.assert_close(-low, high)
 
 
 def test_every_capsule_is_closed_and_faces_outwards():
     body = capsule_body()
     mesh = trimesh.Trimesh(body.vertices.numpy(), body.faces.numpy(), process=False)
     assert mesh.is_watertight
+    assert mesh.is_winding_consistent
     assert all(part.volume > 0 for part in mesh.split())
 
 

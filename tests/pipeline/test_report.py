@@ -125,6 +125,12 @@ def test_the_page_shows_every_method_from_input_to_truth(project):
     assert sum(address.startswith("data:video/mp4") for address in page.addresses) == 1
 
 
+def test_pictures_keep_their_proportions_at_any_width(project):
+    style = re.search(r"\.strip img \{([^}]*)\}", made(project).page)[1]
+    assert "width: 100%" in style
+    assert "height: auto" in style
+
+
 def test_the_page_has_the_numbers_of_the_files(project):
     rows = Page(made(project).page).rows
     paper = next(row for row in rows if row[0] == "paper")
