@@ -65,12 +65,14 @@ def _trimmed(
     plate: Plate,
 ) -> UInt8[Tensor, "H W"]:
     alpha = matte.numpy()
-    difference = cv2.absdiff(frame.numpy(), plate.picture.numpy()).max(-1).astype(np.float32)
-    difference = cv2.blur(difference, (NEIGHBOURHOOD, NEIGHBOURHOOD))
+    known, weight = plate.known.numpy(), plate.known.float().numpy()
+    around = (NEIGHBOURHOOD, NEIGHBOURHOOD)
+    difference = cv2.absdiff(frame.numpy(), plate.picture.numpy()).max(-1) * weight
+    difference = cv2.blur(difference, around) / cv2.blur(weight, around).clip(1e-3)
     share = ((difference - NOISE) / (DISTINCT - NOISE)).clip(0, 1)
-    share[~plate.known.numpy()] = 1
+    share[~known] = 1
     bare = ((share < 0.5) | (alpha < BARE)).astype(np.uint8)
-    bare = cv2.morphologyEx(bare, cv2.MORPH_OPEN, np.ones((NEIGHBOURHOOD, NEIGHBOURHOOD), np.uint8))
+    bare = cv2.morphologyEx(bare, cv2.MORPH_OPEN, np.ones(around, np.uint8))
     _, pieces = cv2.connectedComponents(cv2.copyMakeBorder(bare, 1, 1, 1, 1, 0, value=1))
     outside = pieces[1:-1, 1:-1] == pieces[0, 0]
     return torch.from_numpy(np.where(outside, np.rint(alpha * share), alpha).astype(np.uint8))

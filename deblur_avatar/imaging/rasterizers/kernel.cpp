@@ -4,11 +4,11 @@
 //
 //   project    one lane a Gaussian. Project to the image, write one 64-byte record each, count how
 //              many Gaussians meet each tile.
-//   forward    Hand the Gaussians to the tiles; then, tile by tile: sort by depth, find which blocks
-//              each Gaussian reaches, and composite block by block, one lane a pixel.
+//   forward    Hand the Gaussians to the tiles; then, tile by tile: sort by depth, find which
+//              blocks each Gaussian reaches, and composite block by block, one lane a pixel.
 //   backward   Composite again in the same order, now with the gradient of the picture at hand;
-//              sum each Gaussian's share over pixels; then, one lane a Gaussian, carry the sums back
-//              through the projection.
+//              sum each Gaussian's share over pixels; then, one lane a Gaussian, carry the sums
+//              back through the projection.
 //
 // Words. A block is as many pixels as a vector has lanes (L); its compositing state stays in
 // registers. A tile is BLOCKS blocks. A pair is one Gaussian meeting one tile. A visit is one
@@ -19,8 +19,8 @@
 //
 // The exponent is in base 2: alpha = exp2(logo + (a dx + b dy) dx + c dy^2), x to the right.
 //
-// The constants EPS2D, NEAR_PLANE, VIEW_MARGIN, MAX_ALPHA, MIN_ALPHA and MIN_TRANSMITTANCE come from
-// conventions.py by way of the compiler's command line.
+// The constants EPS2D, NEAR_PLANE, VIEW_MARGIN, MAX_ALPHA, MIN_ALPHA and MIN_TRANSMITTANCE come
+// from conventions.py by way of the compiler's command line.
 
 #include <algorithm>
 #include <cmath>
@@ -44,7 +44,6 @@ constexpr int L = 4, GRID_W = 4, GRID_H = 8;
 #endif
 constexpr int ROWS = L / 4, BLOCK_W = 4, BLOCK_H = ROWS;
 constexpr int BLOCKS = GRID_W * GRID_H, TILE_W = GRID_W * BLOCK_W, TILE_H = GRID_H * BLOCK_H;
-constexpr int TILE_PIXELS = TILE_W * TILE_H;
 static_assert(BLOCKS % L == 0, "visits are found one lane a block");
 
 typedef float vf __attribute__((vector_size(L * 4)));
@@ -209,20 +208,12 @@ inline Many each(F f) {
 inline Many operator+(const Many& a, const Many& b) {
   return each([&](int i) { return a[i] + b[i]; });
 }
-inline Many operator-(const Many& a, const Many& b) {
-  return each([&](int i) { return a[i] - b[i]; });
-}
 inline Many operator*(const Many& a, const Many& b) {
   return each([&](int i) { return a[i] * b[i]; });
 }
-inline Many operator/(const Many& a, const Many& b) {
-  return each([&](int i) { return a[i] / b[i]; });
-}
-inline Many all(vf x) {
-  return each([&](int) { return x; });
-}
 
-// 2^p for p in [-126, 127]; anything for others. Degree 5 on [-1, 0], minimax with p(0) = 1: relative error 8.4e-8.
+// 2^p for p in [-126, 127], anything for others. Degree 5, minimax on [-1, 0] among those that are
+// 1 at 0: relative error 8.4e-8.
 inline Many exp2(const Many& p) {
   vi n[M];
   for (int i = 0; i < M; ++i) n[i] = to_int(p[i]);  // towards zero
@@ -239,7 +230,7 @@ inline Many exp2(const Many& p) {
 
 constexpr float LOG2E = 1.44269504f;
 constexpr float LN2 = 0.69314718f;
-constexpr float LOG2_MIN_ALPHA = -7.99435344f;
+const float LOG2_MIN_ALPHA = std::log2(MIN_ALPHA);
 constexpr int MAX_VALUES = 5;  // four channels and depth
 
 // One Gaussian of one pose in the image.
@@ -346,8 +337,10 @@ inline void load_rows(const float* from, int64_t rows, vf* to) {
     for (int k = 0; k < L; ++k)
       for (int c = 0; c < columns; ++c) t[c][k] = from[k * columns + c];
   } else {
-    for (int k = 0; k < L; ++k)
-      for (int c = 0; c < columns; ++c) t[c][k] = from[std::min<int64_t>(k, rows - 1) * columns + c];
+    for (int k = 0; k < L; ++k) {
+      const float* const row = from + std::min<int64_t>(k, rows - 1) * columns;
+      for (int c = 0; c < columns; ++c) t[c][k] = row[c];
+    }
   }
   for (int c = 0; c < columns; ++c) to[c] = load(t[c]);
 }
@@ -365,7 +358,8 @@ inline void store_rows(float* to, int64_t rows, const vf* from) {
   }
 }
 
-__attribute__((noinline)) void load_covars(const Frame& f, int64_t pose, int64_t i, int64_t rows, vf* s) {
+__attribute__((noinline)) void load_covars(const Frame& f, int64_t pose, int64_t i, int64_t rows,
+                                           vf* s) {
   const float* from = f.covars + ((f.covars_shared ? 0 : pose * f.gaussians) + i) * f.covar_columns;
   if (f.covar_columns == 6) return load_rows<6>(from, rows, s);
   vf whole[9];
@@ -422,7 +416,7 @@ struct Projection {
 
 enum NotFinite { MEANS = 1, COVARS = 2, OPACITIES = 4, COLORS = 8, TOO_MANY_PAIRS = 16 };
 
-// Project one chunk of one pose; returns which inputs were not finite, counts pairs into `histogram`.
+// Project one chunk of one pose and count its pairs; returns which inputs were not finite.
 int project_chunk(const Frame& f, const Camera& cam, int64_t pose, int64_t begin, int64_t end,
                   int32_t* histogram, int64_t& pairs) {
   const int64_t N = f.gaussians, C = f.channels;
@@ -452,7 +446,7 @@ int project_chunk(const Frame& f, const Camera& cam, int64_t pose, int64_t begin
     visible &= (p.y + rounded_y > 0.0f) & (p.y - rounded_y < height);
     visible &= (rounded_x > 0.0f) | (rounded_y > 0.0f);
 
-    // Pixels whose centres the box holds; the slack covers rounding, blocks are tested exactly later.
+    // Pixels whose centres the box holds; the slack covers rounding, blocks are tested exactly.
     const vf slack_x = 1e-3f + 1e-5f * extent_x, slack_y = 1e-3f + 1e-5f * extent_y;
     const vf zero = splat(0.0f);
     const vf first_x = ceil(clamp(p.x - extent_x - slack_x - 0.5f, zero, width));
@@ -811,7 +805,8 @@ void draw_tile(const Frame& f, int64_t picture, int64_t t) {
     composite_tile<V>(f, Tile(f, pose, t), to);
     states = to;
     if (!f.average) continue;
-    for (int i = 0; i < SIZE; i += L) store(sum + i, drawn ? load(sum + i) + load(to + i) : load(to + i));
+    for (int i = 0; i < SIZE; i += L)
+      store(sum + i, drawn ? load(sum + i) + load(to + i) : load(to + i));
     ++drawn;
   }
   const Tile tile(f, picture, t);
@@ -869,7 +864,8 @@ __attribute__((noinline)) void add_batch(const Batch& batch, const int32_t* pair
     m2[i] = t[1] + 4.0f * t[2] + 9.0f * t[3];
     transpose_in_rows(batch.weight + 4 * i, t);
     for (int v = 0; v < V; ++v)
-      values[v][i] = (t[0] * grad[v][0] + t[1] * grad[v][1]) + (t[2] * grad[v][2] + t[3] * grad[v][3]);
+      values[v][i] =
+          (t[0] * grad[v][0] + t[1] * grad[v][1]) + (t[2] * grad[v][2] + t[3] * grad[v][3]);
     transpose_in_rows(batch.pull + 4 * i, t);
     pull_x[i] = t[0] + t[1], pull_y[i] = t[2] + t[3];
   }
@@ -1043,16 +1039,6 @@ void differentiate_tile(const Frame& f, int64_t busy, int64_t first_slot) {
   }
 }
 
-__attribute__((noinline)) void store_covar_grads(const Frame& f, int64_t row, int64_t rows, const vf* g) {
-  if (f.covar_columns == 6) {  // each of the off-diagonal numbers stands for two entries
-    const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
-    store_rows<6>(f.covars_grad + row * 6, rows, six);
-  } else {
-    const vf nine[9] = {g[0], g[1], g[2], g[1], g[3], g[4], g[2], g[4], g[5]};
-    store_rows<9>(f.covars_grad + row * 9, rows, nine);
-  }
-}
-
 // Write `columns` vectors as rows, or add them to the rows that are there.
 inline void add_rows(float* to, int rows, int columns, bool add, const vf* from) {
   for (int k = 0; k < rows; ++k)
@@ -1060,13 +1046,18 @@ inline void add_rows(float* to, int rows, int columns, bool add, const vf* from)
       to[k * columns + c] = (add ? to[k * columns + c] : 0.0f) + from[c][k];
 }
 
-__attribute__((noinline)) void add_shared_covars(const Frame& f, int64_t i, int rows, bool add, const vf* g) {
-  if (f.covar_columns == 6) {
-    const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
-    add_rows(f.covars_grad + i * 6, rows, 6, add, six);
+// The gradient of a covariance in the form of the argument. Of six numbers, those off the diagonal
+// stand for two entries each.
+__attribute__((noinline)) void store_covar_grads(const Frame& f, int64_t row, int64_t rows,
+                                                 bool add, const vf* g) {
+  const vf six[6] = {g[0], 2.0f * g[1], 2.0f * g[2], g[3], 2.0f * g[4], g[5]};
+  const vf nine[9] = {g[0], g[1], g[2], g[1], g[3], g[4], g[2], g[4], g[5]};
+  float* const to = f.covars_grad + row * f.covar_columns;
+  const int count = (int)std::min<int64_t>(rows, L);
+  if (add) {
+    f.covar_columns == 6 ? add_rows(to, count, 6, true, six) : add_rows(to, count, 9, true, nine);
   } else {
-    const vf nine[9] = {g[0], g[1], g[2], g[1], g[3], g[4], g[2], g[4], g[5]};
-    add_rows(f.covars_grad + i * 9, rows, 9, add, nine);
+    f.covar_columns == 6 ? store_rows<6>(to, rows, six) : store_rows<9>(to, rows, nine);
   }
 }
 
@@ -1113,7 +1104,8 @@ void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t 
       const Projection p(cam, mean, covar);
       const vf one = splat(1.0f);
       // A Gaussian left out may have any conic; its gradient is zero whatever that is.
-      const vf kxx = only(seen, p.conic_xx), kxy = only(seen, p.conic_xy), kyy = only(seen, p.conic_yy);
+      const vf kxx = only(seen, p.conic_xx), kxy = only(seen, p.conic_xy);
+      const vf kyy = only(seen, p.conic_yy);
       opacity_grad += only(seen, s[S0] / (seen ? opacity[0] : one));
       for (int64_t c = 0; c < C; ++c) color_grad[c] += s[SV + c];
       pull[0] = kxx * s[SX] + kxy * s[SY], pull[1] = kxy * s[SX] + kyy * s[SY];
@@ -1158,13 +1150,14 @@ void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t 
     if (f.means_grad) store_rows<3>(f.means_grad + (pose * N + i) * 3, rows, grad);
     if (f.means2d_grad) store_rows<2>(f.means2d_grad + (pose * N + i) * 2, rows, pull);
     if (f.means2d_absgrad) store_rows<2>(f.means2d_absgrad + (pose * N + i) * 2, rows, abs_pull);
-    if (f.covars_grad && !f.covars_shared) store_covar_grads(f, pose * N + i, rows, covar_grad);
+    if (f.covars_grad && !f.covars_shared)
+      store_covar_grads(f, pose * N + i, rows, false, covar_grad);
     for (int k = 0; k < 6; ++k) shared_grad[k] += covar_grad[k];
   }
-  // What the poses share is summed over them; Groups of poses follow one another.
+  // What the poses share is summed over them; groups of poses follow one another.
   if (f.opacities_grad) add_rows(f.opacities_grad + i, count, 1, p0 > 0, &opacity_grad);
   if (f.colors_grad) add_rows(f.colors_grad + i * C, count, (int)C, p0 > 0, color_grad);
-  if (f.covars_grad && f.covars_shared) add_shared_covars(f, i, count, p0 > 0, shared_grad);
+  if (f.covars_grad && f.covars_shared) store_covar_grads(f, i, rows, p0 > 0, shared_grad);
 }
 
 template <int V>
@@ -1201,9 +1194,7 @@ int64_t tile_height() { return TILE_H; }
 int64_t visits_bytes() { return sizeof(Visits); }
 int64_t visits_group() { return GROUP; }
 int64_t states_floats(int64_t values) { return BLOCKS * ((values <= 3 ? 3 : 5) + 1) * L; }
-int64_t slot_floats(int64_t values) {
-  return values <= 3 ? SLOT<3> : SLOT<5>;
-}
+int64_t slot_floats(int64_t values) { return values <= 3 ? SLOT<3> : SLOT<5>; }
 
 // Returns which inputs are not finite (NotFinite), or TOO_MANY_PAIRS; 0 if all is well.
 int64_t project(Frame* frame) {
