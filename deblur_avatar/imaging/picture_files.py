@@ -1,18 +1,25 @@
 """Single pictures as files.
 
-Conventions. Pictures are [H,W,3], 8-bit sRGB, rows from top to bottom. Files hold nothing but the
-picture, so equal pictures are equal bytes.
+Conventions. Pictures are [H,W,3], 8-bit sRGB, rows from top to bottom. Files that are written hold
+nothing but the picture, so equal pictures are equal bytes. Whatever is read becomes that too: this
+is the one place where pictures and masks of others are decoded.
 """
 
+import io
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from deblur_avatar.errors import ArtifactError
 
 JPEG_QUALITY = 90  # of 100: compression is not seen beside what is being shown
+MOST_PIXELS = 100_000_000  # a small file can unfold to any size; this is 300 MB
+SIXTEEN_BITS = ("I;16", "I;16B", "I;16L", "I")  # Pillow's modes of grey pictures
 
 
 def write_picture(path: Path, picture: UInt8[np.ndarray, "H W 3"]) -> None:
@@ -32,19 +39,27 @@ def write_picture(path: Path, picture: UInt8[np.ndarray, "H W 3"]) -> None:
 
 
 def read_picture(path: Path) -> UInt8[np.ndarray, "H W 3"]:
-    """Read any picture file as 8-bit colours.
+    """Read any picture file as 8-bit colours, turned as its camera says it should be seen.
+
+    Grey becomes three equal channels, of 16 bits the upper 8 are kept, CMYK is converted without a
+    profile, and what is transparent shows black.
 
     Raises:
-        ArtifactError: if it is missing or is no picture.
+        ArtifactError: if it is missing, damaged, too large or no picture.
     """
-    try:
-        content = np.frombuffer(Path(path).read_bytes(), np.uint8)
-    except OSError as error:
-        raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
-    picture = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
-    if picture is None:
-        raise ArtifactError(f"{path} is not a picture; run `dvc repro` or `dvc pull`")
-    return np.ascontiguousarray(picture[..., ::-1])
+    return _decoded(Path(path), lambda image: _as_rgb(ImageOps.exif_transpose(image)))
+
+
+def read_mask(path: Path) -> Bool[np.ndarray, "H W"]:
+    """Read a mask file: true where the value is not 0, whatever labels or palette it uses.
+
+    In a file with a palette the values are the indices, not their colours; in one with several
+    channels any colour that is not black counts, unless it is transparent.
+
+    Raises:
+        ArtifactError: if it is missing, damaged, too large or no picture.
+    """
+    return _decoded(Path(path), _nonzero)
 
 
 def encoded(picture: UInt8[np.ndarray, "H W 3"], suffix: str) -> bytes:
@@ -54,3 +69,55 @@ def encoded(picture: UInt8[np.ndarray, "H W 3"], suffix: str) -> bytes:
     if not done:
         raise OSError(f"cannot encode a {suffix} picture of shape {picture.shape}")
     return content.tobytes()
+
+
+def _decoded(path: Path, convert: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below
+            image = Image.open(io.BytesIO(content))
+        width, height = image.size
+        if width * height > MOST_PIXELS:
+            raise ArtifactError(
+                f"{path} unfolds to {width} x {height} pixels, at most {MOST_PIXELS // 10**6} "
+                "million are read; scale it down"
+            )
+        return convert(image)
+    except ArtifactError:
+        raise
+    except UnidentifiedImageError:
+        reason = "of no known kind" if content else "an empty file"
+    except Exception as error:
+        # A damaged picture can raise nearly anything from inside its decoder.
+        reason = str(error) or repr(error)
+    raise ArtifactError(
+        f"{path} is not a picture that can be read: {reason}; copy or make it again "
+        "(`dvc repro` or `dvc pull` for those of the pipeline)"
+    )
+
+
+def _as_rgb(image: Image.Image) -> UInt8[np.ndarray, "H W 3"]:
+    if image.mode in SIXTEEN_BITS:
+        upper = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+        return np.repeat(upper[..., None], 3, axis=2)
+    if image.mode == "F":
+        raise ValueError("its values are floating-point numbers, wanted 8 or 16 bits")
+    if not image.has_transparency_data:
+        return np.array(image.convert("RGB"))
+    pixels = np.asarray(image.convert("RGBA")).astype(np.uint16)
+    return ((pixels[..., :3] * pixels[..., 3:] + 127) // 255).astype(np.uint8)
+
+
+def _nonzero(image: Image.Image) -> Bool[np.ndarray, "H W"]:
+    values = np.asarray(image)
+    if image.mode == "CMYK":
+        values = np.asarray(image.convert("RGB"))
+    if values.ndim == 2:
+        return values != 0
+    if image.mode in ("LA", "PA", "RGBA"):
+        return (values[..., :-1] != 0).any(-1) & (values[..., -1] != 0)
+    return (values != 0).any(-1)

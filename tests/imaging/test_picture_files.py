@@ -1,8 +1,10 @@
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import encoded, read_picture, write_picture
+from deblur_avatar.imaging.picture_files import encoded, read_mask, read_picture, write_picture
 
 
 @pytest.fixture
@@ -16,8 +18,6 @@ def test_a_png_file_holds_exactly_the_picture(tmp_path, picture):
 
 
 def test_red_is_red_to_other_readers(tmp_path):
-    from PIL import Image
-
     red = np.zeros((2, 3, 3), np.uint8)
     red[..., 0] = 255
     write_picture(tmp_path / "red.png", red)
@@ -54,3 +54,100 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, picture):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArtifactError, match="cannot write .*file/a.png"):
         write_picture(tmp_path / "file" / "a.png", picture)
+
+
+def test_sixteen_bits_become_the_upper_eight(tmp_path, picture):
+    deep = picture.astype(np.uint16) * 257
+    (tmp_path / "colour.png").write_bytes(cv2.imencode(".png", deep[..., ::-1])[1].tobytes())
+    (tmp_path / "grey.png").write_bytes(cv2.imencode(".png", deep[..., 0])[1].tobytes())
+    np.testing.assert_array_equal(read_picture(tmp_path / "colour.png"), picture)
+    grey = np.repeat(picture[..., :1], 3, axis=2)
+    np.testing.assert_array_equal(read_picture(tmp_path / "grey.png"), grey)
+
+
+def test_grey_becomes_three_equal_channels(tmp_path, picture):
+    Image.fromarray(picture[..., 1]).save(tmp_path / "grey.png")
+    read = read_picture(tmp_path / "grey.png")
+    np.testing.assert_array_equal(read, np.repeat(picture[..., 1:2], 3, axis=2))
+
+
+def test_what_is_transparent_shows_black(tmp_path, picture):
+    alpha = np.full(picture.shape[:2], 255, np.uint8)
+    alpha[0], alpha[1] = 0, 128
+    Image.fromarray(np.dstack([picture, alpha])).save(tmp_path / "alpha.png")
+    read = read_picture(tmp_path / "alpha.png")
+    assert not read[0].any()
+    np.testing.assert_allclose(read[1], picture[1] * (128 / 255), atol=0.51)
+    np.testing.assert_array_equal(read[2:], picture[2:])
+
+
+@pytest.mark.parametrize("name", ["a.tiff", "a.jpg"])
+def test_cmyk_inks_become_colours(tmp_path, name):
+    orange = Image.new("RGB", (16, 16), (255, 128, 0))
+    orange.convert("CMYK").save(tmp_path / name)
+    np.testing.assert_allclose(read_picture(tmp_path / name)[8, 8], (255, 128, 0), atol=3)
+
+
+def test_a_picture_is_turned_as_its_camera_was_held(tmp_path):
+    wide = np.zeros((8, 24, 3), np.uint8)
+    wide[:, :8, 0] = 255
+    exif = Image.Exif()
+    exif[0x0112] = 6  # EXIF: the first row is the right side
+    Image.fromarray(wide).save(tmp_path / "a.png", exif=exif)
+    read = read_picture(tmp_path / "a.png")
+    assert read.shape == (24, 8, 3)
+    assert (read[:8, :, 0] == 255).all()
+    assert not read[8:].any()
+
+
+def test_a_mask_is_true_where_its_value_is_not_zero(tmp_path):
+    values = np.array([[0, 1, 100], [255, 0, 19]], np.uint8)
+    person = values != 0
+    pictures = {
+        "labels": Image.fromarray(values),
+        "sixteen": Image.fromarray(values.astype(np.uint16)),
+        "yes_or_no": Image.fromarray(person),
+        "colours": Image.fromarray(np.dstack([0 * values, values, 0 * values])),
+        "alpha": Image.fromarray(np.dstack([values, values, values, 0 * values + 255])),
+    }
+    for name, made in pictures.items():
+        made.save(tmp_path / f"{name}.png")
+        np.testing.assert_array_equal(read_mask(tmp_path / f"{name}.png"), person, err_msg=name)
+
+
+def test_the_colours_of_a_mask_s_palette_do_not_matter(tmp_path):
+    labels = np.array([[0, 1, 2], [2, 0, 1]], np.uint8)
+    made = Image.fromarray(labels, mode="P")
+    made.putpalette([255, 255, 255, 0, 0, 0, 200, 0, 0])  # label 0 is white, label 1 black
+    made.save(tmp_path / "mask.png")
+    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png"), labels != 0)
+
+
+def test_what_is_transparent_is_no_mask(tmp_path):
+    pixels = np.full((1, 2, 4), 255, np.uint8)
+    pixels[0, 1, 3] = 0
+    Image.fromarray(pixels).save(tmp_path / "mask.png")
+    assert read_mask(tmp_path / "mask.png").tolist() == [[True, False]]
+
+
+def test_a_small_file_of_a_huge_picture_is_refused(tmp_path):
+    Image.new("1", (12_000, 12_000)).save(tmp_path / "bomb.png")
+    assert (tmp_path / "bomb.png").stat().st_size < 50_000
+    for read in (read_picture, read_mask):
+        with pytest.raises(ArtifactError, match="unfolds to 12000 x 12000 pixels, at most 100 mi"):
+            read(tmp_path / "bomb.png")
+
+
+def test_a_picture_that_was_cut_off_is_refused(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    for suffix in (".png", ".jpg"):
+        whole = encoded(noise, suffix)
+        (tmp_path / f"a{suffix}").write_bytes(whole[: len(whole) // 2])
+        with pytest.raises(ArtifactError, match=r"not a picture that can be read: .*truncated"):
+            read_picture(tmp_path / f"a{suffix}")
+
+
+def test_floating_point_values_are_refused(tmp_path):
+    Image.fromarray(np.ones((2, 2), np.float32)).save(tmp_path / "a.tiff")
+    with pytest.raises(ArtifactError, match="floating-point numbers, wanted 8 or 16 bits"):
+        read_picture(tmp_path / "a.tiff")
