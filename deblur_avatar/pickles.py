@@ -3,19 +3,25 @@
 A pickle is a program. This reader admits the few classes that data files of the field are made of
 and refuses every other name before it is looked up, so that nothing of the file is executed:
 numpy arrays, dtypes and scalars; scipy's sparse matrices and chumpy's arrays, for which plain
-records stand in (neither package is imported, no code of theirs runs); plain containers.
+records stand in (neither package is imported, no code of theirs runs); plain containers. What it
+makes is not much larger than the file, whose size is bounded.
 """
 
+import math
 import pickle
+import pickletools
 from collections import OrderedDict
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from deblur_avatar.errors import ArtifactError
+
+MOST_BYTES = 1 << 30  # of a file, and of an array that unfolds; SMPL's largest file has 250 MB
 
 
 class Record:
@@ -37,12 +43,36 @@ def load_arrays(path: Path) -> dict[str, Any]:
     value would have to be computed stays a `Record`.
 
     Raises:
-        ArtifactError: if the file is missing, damaged, not a dictionary, or names a class that is
-            not on the list; nothing of it has been executed then.
+        ArtifactError: if the file is missing, damaged, too large, not a dictionary, or names a
+            class that is not on the list; nothing of it has been executed then.
     """
+    return _dictionary(_read(Path(path), _unpickled), path)
+
+
+def load_npy(path: Path) -> NDArray[Any] | dict[str, Any]:
+    """Read a `.npy` file: an array of numbers, or the dictionary that was saved as one of objects.
+
+    Raises:
+        ArtifactError: as `load_arrays`, and for arrays of other objects.
+    """
+    content = _read(Path(path), _npy_content)
+    if isinstance(content, np.ndarray) and content.dtype.hasobject:
+        return _dictionary(content.item() if content.size == 1 else content, path)
+    return content
+
+
+def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
     try:
-        with Path(path).open("rb") as file:
-            content = _RestrictedUnpickler(file, encoding="latin1").load()
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise ArtifactError(
+                f"{path} has {size >> 20} MB, at most {MOST_BYTES >> 20} MB are read; "
+                "is it the file it should be?"
+            )
+        with path.open("rb") as file:
+            return reader(file)
+    except ArtifactError:
+        raise
     except OSError as error:
         raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
     except _Refused as error:
@@ -52,7 +82,36 @@ def load_arrays(path: Path) -> dict[str, Any]:
         ) from None
     except Exception as error:
         # A damaged pickle can raise nearly anything from inside the standard library.
-        raise ArtifactError(f"{path} is not a readable pickle file: {error!r}") from None
+        raise ArtifactError(
+            f"{path} is not a readable {path.suffix or 'data'} file: {error!r}"
+        ) from None
+
+
+def _unpickled(file: BinaryIO) -> Any:
+    begin = file.tell()
+    for count, (operation, argument, _) in enumerate(pickletools.genops(file)):
+        # Python's memo is a list: one far index would allocate everything before it.
+        if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > count + 1:
+            raise ValueError(f"an object is numbered {argument} among {count}")
+    file.seek(begin)
+    return _RestrictedUnpickler(file, encoding="latin1").load()
+
+
+def _npy_content(file: BinaryIO) -> Any:
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+    if dtype.hasobject:
+        return _unpickled(file)
+    if math.prod(shape) * dtype.itemsize > MOST_BYTES:
+        raise ValueError(f"an array of shape {shape} is too large")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _dictionary(content: Any, path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ArtifactError(f"{path} holds a {type(content).__name__}, wanted a dictionary")
     return {str(key): _plain(value, f"{path}: {key}") for key, value in content.items()}
@@ -88,6 +147,17 @@ def _array_of_buffer(
     return flat.reshape(shape, order="F" if order == "F" else "C")
 
 
+def _no_bytes(*content: object) -> bytes:
+    """How Python 3 writes empty bytes in the old protocols; of a number, bytes() makes as many."""
+    if content:
+        raise _Refused(f"bytes of {content[0]!r}")
+    return b""
+
+
+class _ArrayKind:
+    """What numpy's pickles name as the class of an array; numpy's own would allocate any size."""
+
+
 def _scalar(dtype: np.dtype[Any], content: bytes | str) -> Any:
     # Python 2's bytes arrive as text.
     return np.frombuffer(content.encode("latin1") if isinstance(content, str) else content, dtype)[
@@ -113,7 +183,7 @@ _SPARSE = ("csc_matrix", "csr_matrix", "csc_array", "csr_array")
 _NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 _ADMITTED: dict[tuple[str, str], Any] = {
-    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "ndarray"): _ArrayKind,
     ("numpy", "dtype"): np.dtype,
     **{(module, "_reconstruct"): _empty_array for module in _NUMPY},
     **{(module, "scalar"): _scalar for module in _NUMPY},
@@ -125,8 +195,9 @@ _ADMITTED: dict[tuple[str, str], Any] = {
     **{
         (module, kind.__name__): kind
         for module in ("__builtin__", "builtins")
-        for kind in (object, set, frozenset, bytes)
+        for kind in (object, set, frozenset)
     },
+    **{(module, "bytes"): _no_bytes for module in ("__builtin__", "builtins")},
 }
 
 
@@ -152,6 +223,8 @@ def _array_of_record(record: Record) -> Any:
         shape = state["_shape"] if "_shape" in state else state["shape"]
         kind = sparse.csc_array if record.name.startswith("scipy.csc") else sparse.csr_array
         matrix = kind((state["data"], state["indices"], state["indptr"]), shape=shape)
+        if math.prod(matrix.shape) * matrix.dtype.itemsize > MOST_BYTES:
+            raise ValueError(f"{matrix.shape} unfolds to too large an array")
         matrix.check_format(full_check=True)  # indices out of range would corrupt memory
         return matrix.toarray()
     return record

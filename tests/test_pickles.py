@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from deblur_avatar import pickles
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pickles import Record, load_arrays
+from deblur_avatar.pickles import Record, load_arrays, load_npy
 
 
 class _Command:
@@ -145,6 +146,7 @@ def test_a_file_that_calls_a_program_is_refused_and_nothing_runs(tmp_path, proto
         (b"cdeblur_avatar.pickles\n_ADMITTED\n.", "_ADMITTED"),
         (b"c_codecs\nencode\n(S'a'\nS'rot13'\ntR.", "an encoding 'rot13'"),
         (b"ccopy_reg\n_reconstructor\n(cnumpy\ndtype\nc__builtin__\nobject\nNtR.", "constructor"),
+        (b"cbuiltins\nbytes\n(I9999999999\ntR.", "bytes of 9999999999"),
         (b"Pkey\n.", "a persistent object 'key'"),
         (b"\x80\x04\x8c\x05numpy\x8c\x0bndarray.ctx\x93.", "numpy.ndarray.ctx"),
     ],
@@ -164,7 +166,7 @@ def test_a_missing_damaged_or_foreign_file_is_one_clear_error(tmp_path):
     damaged = tmp_path / "damaged.pkl"
     for length in (0, 1, 20, len(whole) // 2, len(whole) - 1):
         damaged.write_bytes(whole[:length])
-        with pytest.raises(ArtifactError, match="not a readable pickle"):
+        with pytest.raises(ArtifactError, match=r"not a readable \.pkl file"):
             load_arrays(damaged)
     with pytest.raises(ArtifactError, match="holds a list, wanted a dictionary"):
         load_arrays(_write(tmp_path / "list.pkl", [1, 2]))
@@ -174,3 +176,67 @@ def test_a_chumpy_array_without_content_is_damage(tmp_path, chumpy):
     path = _write(tmp_path / "file.pkl", {"shapedirs": _instance(chumpy["chumpy.ch"].Ch, y=1)})
     with pytest.raises(ArtifactError, match="shapedirs: a damaged chumpy.Ch"):
         load_arrays(path)
+
+
+def test_an_array_class_of_a_file_allocates_nothing(tmp_path):
+    path = tmp_path / "file.pkl"
+    path.write_bytes(b"cnumpy\nndarray\n((I99999999999\ntt" + b"R.")
+    with pytest.raises(ArtifactError, match=r"not a readable \.pkl file"):
+        load_arrays(path)
+
+
+def test_a_far_index_of_the_memo_is_refused_before_it_allocates(tmp_path):
+    path = tmp_path / "file.pkl"
+    path.write_bytes(b"\x80\x02}r\xff\xff\xff\x7f.")  # LONG_BINPUT 2147483647
+    with pytest.raises(ArtifactError, match="an object is numbered 2147483647 among 2"):
+        load_arrays(path)
+
+
+def test_a_sparse_matrix_that_unfolds_to_too_much_is_refused(tmp_path):
+    path = _write(tmp_path / "file.pkl", {"regressor": sparse.csc_matrix((2**40, 3))})
+    assert path.stat().st_size < 1000
+    with pytest.raises(ArtifactError, match="unfolds to too large an array"):
+        load_arrays(path)
+
+
+def test_a_file_over_the_limit_is_not_opened(tmp_path, monkeypatch):
+    path = _write(tmp_path / "file.pkl", {"a": np.zeros(1 << 18)})
+    monkeypatch.setattr(pickles, "MOST_BYTES", 1 << 20)
+    with pytest.raises(ArtifactError, match="has 2 MB, at most 1 MB are read"):
+        load_arrays(path)
+
+
+def test_npy_files_hold_an_array_or_a_dictionary(tmp_path):
+    np.save(tmp_path / "numbers.npy", np.arange(6.0).reshape(2, 3))
+    np.testing.assert_array_equal(load_npy(tmp_path / "numbers.npy"), [[0, 1, 2], [3, 4, 5]])
+    content = {"cams": {"K": [np.eye(3)]}, "ims": [{"ims": ["a/0.jpg"]}], "one": np.str_("x")}
+    np.save(tmp_path / "annots.npy", content)
+    read = load_npy(tmp_path / "annots.npy")
+    assert read["ims"] == content["ims"]
+    assert read["one"] == "x"
+    np.testing.assert_array_equal(read["cams"]["K"][0], np.eye(3))
+
+
+def test_npy_files_run_nothing(tmp_path):
+    trace = tmp_path / "trace"
+    np.save(tmp_path / "annots.npy", {"x": _Command(f"touch {trace}")})
+    with pytest.raises(ArtifactError, match=r"wants to run (posix|nt|os)\.system"):
+        load_npy(tmp_path / "annots.npy")
+    assert not trace.exists()
+
+
+def test_damaged_npy_files_are_one_clear_error(tmp_path):
+    path = tmp_path / "file.npy"
+    np.save(path, np.zeros(9))
+    for content in (b"", b"text", path.read_bytes()[:-8]):
+        path.write_bytes(content)
+        with pytest.raises(ArtifactError, match=r"not a readable \.npy file"):
+            load_npy(path)
+    np.save(path, np.array([None, 1, "x"], object))
+    with pytest.raises(ArtifactError, match="holds a ndarray, wanted a dictionary"):
+        load_npy(path)
+    header = {"descr": "<f8", "fortran_order": False, "shape": (2**40,)}
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(ArtifactError, match=r"shape \(1099511627776,\) is too large"):
+        load_npy(path)

@@ -5,7 +5,6 @@ the user has put them and are never shipped: the original pickles of Python 2, w
 strangers (`deblur_avatar.pickles`), and `.npz` files with the same keys.
 """
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,13 @@ import torch
 
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES, SMPL_PARENTS, Body
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.npz_files import load_npz
 from deblur_avatar.pickles import Record, load_arrays
 
 DOWNLOAD_PAGE = "https://smpl.is.tue.mpg.de"
 LICENCE = f"SMPL model licence: non-commercial research, no redistribution; see {DOWNLOAD_PAGE}"
 JOINTS = len(SMPL_JOINT_NAMES)
+ROW_SUM = 1e-2  # by which the sum of a vertex's weights may differ from 1
 
 # Shape of each array; V vertices, B shape numbers, T triangles.
 _KEYS = {
@@ -73,11 +74,7 @@ def _read(path: Path) -> dict[str, Any]:
     if path.suffix == ".pkl":
         return load_arrays(path)
     if path.suffix == ".npz":
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                return {key: archive[key] for key in _KEYS if key in archive}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ArtifactError(f"{path} is not a readable .npz file: {error}") from None
+        return dict(load_npz(path, _KEYS))
     raise ConfigError(f"{path}: an SMPL model is a .pkl or .npz file, got {path.suffix!r}")
 
 
@@ -104,6 +101,9 @@ def _checked(path: Path, content: dict[str, Any]) -> dict[str, Any]:
         if not np.isfinite(array).all():
             raise ArtifactError(f"{path}: {key} holds values that are not finite")
         arrays[key] = array
+    weights = arrays["weights"]
+    if weights.min() < 0 or abs(weights.sum(1) - 1).max() > ROW_SUM:
+        raise ArtifactError(f"{path}: rows of weights must be shares that sum to 1")
     # The root's parent is written as -1 or as the largest unsigned number.
     parents = tuple(int(p) if 0 <= int(p) < JOINTS else -1 for p in arrays["kintree_table"][0])
     if parents != SMPL_PARENTS:

@@ -7,9 +7,7 @@ up, metres.
 Source: Mahmood et al., "AMASS", ICCV 2019, and its files' documented keys.
 """
 
-import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +15,7 @@ import torch
 from deblur_avatar.avatar.driving_motion import BodyMotion
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.npz_files import load_npz
 
 BODY = 66  # numbers of the root and the 21 joints that all models of the family share
 RATES = ("mocap_framerate", "mocap_frame_rate")  # SMPL-H files and SMPL-X files
@@ -29,7 +28,7 @@ def read_amass(path: Path) -> BodyMotion:
     Raises:
         ArtifactError: if it is missing, damaged or lacks a key; says which.
     """
-    content = _read(Path(path))
+    content = load_npz(path, {"poses", "trans", *RATES})
     poses, trans = content.get("poses"), content.get("trans")
     rate = next((content[key] for key in RATES if key in content), None)
     if poses is None or trans is None or rate is None:
@@ -56,14 +55,3 @@ def read_amass(path: Path) -> BodyMotion:
         body_pose=torch.cat([axis_angle[:, 1:], hands], dim=1),
         transl=torch.from_numpy(trans.astype(np.float32)) @ upright.T,
     )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            wanted = {"poses", "trans", *RATES}
-            return {key: archive[key] for key in archive.files if key in wanted}
-    except OSError as error:
-        raise ArtifactError(f"cannot read {path}: {error.strerror or error}") from None
-    except (ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise ArtifactError(f"{path} is not a readable .npz file: {error}") from None

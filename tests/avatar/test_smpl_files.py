@@ -8,7 +8,12 @@ import torch
 from scipy import sparse
 
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES, SMPL_PARENTS, Body
-from deblur_avatar.avatar.body import posed_vertices, shaped_joints, shaped_vertices
+from deblur_avatar.avatar.body import (
+    posed_joints,
+    posed_vertices,
+    shaped_joints,
+    shaped_vertices,
+)
 from deblur_avatar.avatar.smpl_files import read_smpl
 from deblur_avatar.errors import ArtifactError, ConfigError
 
@@ -163,6 +168,13 @@ def test_arrays_that_disagree_or_are_not_finite_are_refused(tmp_path, content):
         read_smpl(_npz(tmp_path / "broken.npz", broken), 3)
 
 
+def test_weights_that_are_no_shares_are_refused(tmp_path, content):
+    for name, weights in (("zero", 0 * content["weights"]), ("minus", -content["weights"])):
+        path = _npz(tmp_path / f"{name}.npz", {**content, "weights": weights})
+        with pytest.raises(ArtifactError, match="rows of weights must be shares that sum to 1"):
+            read_smpl(path, 3)
+
+
 def test_a_damaged_archive_is_one_clear_error(tmp_path, content):
     path = _npz(tmp_path / "smpl.npz", content)
     path.write_bytes(path.read_bytes()[:500])
@@ -186,12 +198,29 @@ def test_an_expression_that_would_have_to_run_is_refused(tmp_path, content, chum
         read_smpl(path, 3)
 
 
-def test_smplx_reads_the_file_alike(tmp_path, content):
+@pytest.mark.parametrize("shapes", [4, 10, 300])
+def test_smplx_poses_and_shapes_alike(tmp_path, content, shapes):
     smplx = pytest.importorskip("smplx", reason="smplx is not a dependency")
+    draw = np.random.default_rng(shapes)
+    content["shapedirs"] = draw.normal(size=(VERTICES, 3, shapes)) * 0.01
     path = _pickle(tmp_path / "SMPL_NEUTRAL.pkl", content)
-    theirs = smplx.SMPL(str(path), num_betas=4)
-    body = read_smpl(path, 4)
-    pose = torch.randn(24, 3, generator=torch.Generator().manual_seed(0)) * 0.4
-    given = theirs(global_orient=pose[None, 0], body_pose=pose[None, 1:].flatten(1))
-    ours = posed_vertices(body, torch.zeros(4), pose[0], pose[1:], torch.zeros(3))
-    torch.testing.assert_close(ours, given.vertices[0], atol=1e-5, rtol=0)
+    face = dict.fromkeys(["nose", "reye", "leye", "rear", "lear"], 0)  # of its 6890 vertices
+    theirs = smplx.SMPL(
+        str(path), num_betas=shapes, vertex_ids=face, use_hands=False, use_feet_keypoints=False
+    )
+    body = read_smpl(path, shapes)
+    generator = torch.Generator().manual_seed(shapes)
+    for _ in range(5):
+        betas = torch.randn(shapes, generator=generator)
+        pose = torch.randn(24, 3, generator=generator) * 0.6
+        transl = torch.randn(3, generator=generator)
+        given = theirs(
+            betas=betas[None],
+            global_orient=pose[None, 0],
+            body_pose=pose[None, 1:].flatten(1),
+            transl=transl[None],
+        )
+        ours = posed_vertices(body, betas, pose[0], pose[1:], transl)
+        torch.testing.assert_close(ours, given.vertices[0], atol=1e-5, rtol=0)
+        joints = posed_joints(body, betas, pose[0], pose[1:], transl)
+        torch.testing.assert_close(joints, given.joints[0, :24], atol=1e-5, rtol=0)
