@@ -191,6 +191,11 @@ class LossParams(Params):
     skinning_late: NonNegative
     isotropy_means: NonNegative  # neighbours keep their distances
     isotropy_covars: NonNegative
+    even_colors: NonNegative  # neighbours' raw colours are alike
+    even_shapes: NonNegative  # and so are their raw scales and opacities
+    anchor: NonNegative  # clip motion: knots stay near the first estimate
+    bending: NonNegative  # clip motion: knots hardly accelerate
+    shutter: NonNegative  # clip motion: an estimated shutter stays near the first guess
 
 
 class DensifyParams(Params):
@@ -221,6 +226,7 @@ class OptimiserParams(Params):
     latent_decay: NonNegative
     poses: Positive  # radians a step
     transl: Positive  # metres a step
+    shutter: Positive  # share of itself a step, where it is estimated
     fusion: Positive
     final_share: Fraction  # of the networks' rates at the end
     clip: Positive  # norm of all networks' gradients
@@ -243,7 +249,11 @@ class TrajectoryParams(Params):
     """How the body moves while the shutter is open, and what the frame is compared with."""
 
     motion: Literal["fixed", "frame", "pair", "clip"]
-    virtual_poses: Count
+    virtual_poses: Count  # at most, where `pixels_per_pose` says how many
+    pixels_per_pose: (
+        NonNegative  # clip: farthest travel in the picture per virtual pose; 0: always all
+    )
+    shutter: Literal["given", "estimated"]  # clip: how long it was open
     quadrature: Literal["endpoints", "midpoints"]
     start_noise: NonNegative  # pair: radians; parts start from end
     knot_frames: Positive  # clip: frames between two knots of the trajectory

@@ -8,18 +8,16 @@ instants. F frames, J joints. Every frame of the clip has a row; only those that
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from deblur_avatar.artifacts import Motion, Poses
-from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
     quat_to_axis_angle,
     quat_to_matrix,
     slerp,
 )
-from deblur_avatar.geometry.splines import fit_knots, spline_points, spline_quats
 
 
 @dataclass(frozen=True)
@@ -49,13 +47,29 @@ class Trajectory(nn.Module):
     u: Tensor
 
     def forward(self, frame: int) -> Instants:
-        """The poses of one exposure."""
+        """The poses of one exposure at the instants that fitting takes."""
+        return self.at(frame, self.u)
+
+    def at(self, frame: int, u: Float[Tensor, " S"]) -> Instants:
+        """The poses of one exposure at any instants."""
         raise NotImplementedError
+
+    def priors(self) -> dict[str, Float[Tensor, ""]]:
+        """What is known of such motion beforehand, as named penalties without weights."""
+        return {}
+
+    def counts(self, frames: int) -> Int64[Tensor, " F"]:
+        """How many instants fitting takes of each exposure."""
+        return torch.full((frames,), len(self.u))
+
+    def estimated_shutter(self, timestamps: Float[Tensor, " F"]) -> float | None:
+        """How long the shutter was open, seconds, where that was an unknown of the motion."""
+        return None
 
     def to_artifact(self, betas: Tensor, timestamps: Tensor) -> Motion:
         """Sample every exposure, and keep the unknowns so that a later stage can go on."""
         with torch.no_grad():
-            frames = [self(index) for index in range(len(timestamps))]
+            frames = [self.at(index, self.u) for index in range(len(timestamps))]
         quats = torch.stack([frame.quats for frame in frames]).cpu()
         transl = torch.stack([frame.transl for frame in frames]).cpu()
         middle = quat_to_axis_angle(torch.stack([frame.centre_quats for frame in frames]).cpu())
@@ -64,6 +78,8 @@ class Trajectory(nn.Module):
             kind=self.kind,
             u=self.u.cpu(),
             timestamps=timestamps,
+            counts=self.counts(len(timestamps)).cpu(),
+            shutter=self.estimated_shutter(timestamps),
             global_orient=axis_angle[:, :, 0],
             body_pose=axis_angle[:, :, 1:],
             transl=transl,
@@ -88,13 +104,13 @@ class FrameMotion(Trajectory):
         super().__init__()
         self.kind = "frame" if refined else "fixed"
         self.register_buffer("u", torch.tensor([0.5]), persistent=False)
-        self.axis_angle = nn.Parameter(_axis_angle(poses), requires_grad=refined)
+        self.axis_angle = nn.Parameter(stacked_axis_angle(poses), requires_grad=refined)
         self.transl = nn.Parameter(poses.transl.clone(), requires_grad=refined)
 
-    def forward(self, frame: int) -> Instants:
-        """The frame's one pose."""
+    def at(self, frame: int, u: Float[Tensor, " S"]) -> Instants:
+        """The frame's one pose, at every instant."""
         quats, transl = axis_angle_to_quat(self.axis_angle[frame]), self.transl[frame]
-        return Instants(quats[None], transl[None], quats, transl)
+        return Instants(quats.expand(len(u), -1, -1), transl.expand(len(u), -1), quats, transl)
 
 
 class PairMotion(Trajectory):
@@ -112,7 +128,7 @@ class PairMotion(Trajectory):
     ) -> None:
         super().__init__()
         self.register_buffer("u", u, persistent=False)
-        given = _axis_angle(poses)
+        given = stacked_axis_angle(poses)
         noise = torch.randn(given.shape, generator=generator, device=given.device)
         noise = noise * start_noise / 2
         noise[:, 0] = 0  # the root parts by itself once the limbs have
@@ -121,76 +137,13 @@ class PairMotion(Trajectory):
         self.start_transl = nn.Parameter(poses.transl.clone())
         self.end_transl = nn.Parameter(poses.transl.clone())
 
-    def forward(self, frame: int) -> Instants:
+    def at(self, frame: int, u: Float[Tensor, " S"]) -> Instants:
         """Virtual poses between start (u = 0) and end (u = 1)."""
-        u = torch.cat([self.u, self.u.new_tensor([0.5])])
+        u = torch.cat([u, u.new_tensor([0.5])])
         quats = slerp(axis_angle_to_quat(self.start[frame]), axis_angle_to_quat(self.end[frame]), u)
         start, end = self.start_transl[frame], self.end_transl[frame]
         transl = start + u[:, None] * (end - start)
         return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
-
-
-class ClipMotion(Trajectory):
-    """One smooth trajectory for the whole clip, of which every exposure is a piece.
-
-    Neighbouring frames say which way a limb moves, exposures may overlap or leave gaps, and frames
-    that were never fitted lie on the curve too. Knots start as the smoothest curve near the given
-    poses.
-
-    Source: design of this project, after continuous-time trajectories (BAD-Gaussians; Casual3DHDR).
-    """
-
-    kind = "clip"
-    times: Tensor
-
-    def __init__(
-        self,
-        u: Float[Tensor, " S"],
-        times: Float[Tensor, "F S_and_1"],
-        axis_angle: Float[Tensor, "K J 3"],
-        transl: Float[Tensor, "K 3"],
-    ) -> None:
-        """Take knots, and when each frame's instants and middle are, in units of their spacing."""
-        super().__init__()
-        self.register_buffer("u", u, persistent=False)
-        self.register_buffer("times", times)
-        self.axis_angle = nn.Parameter(axis_angle)
-        self.transl = nn.Parameter(transl)
-
-    @classmethod
-    def near(
-        cls,
-        poses: Poses,
-        u: Float[Tensor, " S"],
-        timestamps: Float[Tensor, " F"],
-        exposure: float,
-        knot_spacing: float,
-        smoothness: float,
-    ) -> "ClipMotion":
-        """The smoothest curve near given poses; exposure and knot spacing in seconds."""
-        first = float(timestamps[0]) - exposure / 2
-        span = float(timestamps[-1]) + exposure / 2 - first
-        count = max(round(span / knot_spacing) + 1, 2)
-        spacing = span / (count - 1)
-        inside = torch.cat([u, u.new_tensor([0.5])])
-        times = (timestamps[:, None] + (inside - 0.5) * exposure - first) / spacing
-        quats = _continuous(axis_angle_to_quat(_axis_angle(poses)))
-        knots = fit_knots(quats.flatten(1), times[:, -1], count, smoothness).unflatten(1, (-1, 4))
-        axis_angle = quat_to_axis_angle(nn.functional.normalize(knots, dim=-1))
-        return cls(u, times, axis_angle, fit_knots(poses.transl, times[:, -1], count, smoothness))
-
-    def forward(self, frame: int) -> Instants:
-        """The piece of the trajectory that one exposure sees."""
-        quats = spline_quats(axis_angle_to_quat(self.axis_angle), self.times[frame])
-        transl = spline_points(self.transl, self.times[frame])
-        return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
-
-
-def _continuous(quats: Float[Tensor, "F J 4"]) -> Float[Tensor, "F J 4"]:
-    """Choose, of the two quaternions of each rotation, the one nearer to the frame before."""
-    flips = torch.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)
-    signs = torch.cat([torch.ones_like(flips[:1]), flips]).cumprod(0)
-    return quats * signs[..., None]
 
 
 def instants(count: int, quadrature: str) -> Float[Tensor, " S"]:
@@ -206,26 +159,6 @@ def instants(count: int, quadrature: str) -> Float[Tensor, " S"]:
     return (torch.arange(count) + 0.5) / count
 
 
-def trajectory_from_artifact(motion: Motion) -> Trajectory:
-    """Rebuild the trajectory that a stage saved.
-
-    Raises:
-        ArtifactError: if it is of a kind that this version does not know.
-    """
-    if motion.kind == "pair":
-        generator = torch.Generator()
-        trajectory: Trajectory = PairMotion(motion.centre, motion.u, 0.0, generator)
-    elif motion.kind == "clip":
-        return ClipMotion(motion.u, **{k: v.clone() for k, v in motion.parameters.items()})
-    elif motion.kind in ("frame", "fixed"):
-        trajectory = FrameMotion(motion.centre, refined=motion.kind == "frame")
-    else:
-        raise ArtifactError(f"no motion of kind {motion.kind!r} is known; run `dvc repro`")
-    with torch.no_grad():
-        for name, value in motion.parameters.items():
-            getattr(trajectory, name).copy_(value)
-    return trajectory
-
-
-def _axis_angle(poses: Poses) -> Tensor:
+def stacked_axis_angle(poses: Poses) -> Float[Tensor, "F J 3"]:
+    """Rotations of all joints relative to their parents, the root's first."""
     return torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1)

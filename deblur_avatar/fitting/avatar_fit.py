@@ -156,6 +156,7 @@ class AvatarFit:
         terms = self._losses(iteration, image, alpha, target)
         middle = len(means) // 2
         terms |= self._isotropy(means[middle], covars[middle])
+        terms |= self._evenness() | self._priors()
         total = torch.stack(list(terms.values())).sum()
         self._descend(iteration, total)
         self._densify(iteration, drawn, target)
@@ -252,13 +253,33 @@ class AvatarFit:
             terms["skinning"] = share * self._skinning_loss(SKINNING_SAMPLES)
         return terms
 
+    def _evenness(self) -> dict[str, Tensor]:
+        weights, gaussians = self._params.losses, self.model.gaussians
+        terms = {}
+        if weights.even_colors > 0:
+            terms["even_colors"] = weights.even_colors * losses.unevenness(
+                gaussians.features, self._near()
+            )
+        if weights.even_shapes > 0:
+            shapes = torch.cat([gaussians.log_scales, gaussians.opacity_logits[:, None]], dim=1)
+            terms["even_shapes"] = weights.even_shapes * losses.unevenness(shapes, self._near())
+        return terms
+
+    def _priors(self) -> dict[str, Tensor]:
+        weights = self._params.losses.model_dump()
+        priors = self.trajectory.priors()
+        return {name: weights[name] * term for name, term in priors.items() if weights[name] > 0}
+
+    def _near(self) -> Tensor:
+        if self._neighbours is None:
+            self._neighbours = neighbour_indices(self.model.gaussians.means, ISOTROPY_NEIGHBOURS)
+        return self._neighbours
+
     def _isotropy(self, posed_means: Tensor, posed_covars: Tensor) -> dict[str, Tensor]:
         weights = self._params.losses
         if weights.isotropy_means == 0 and weights.isotropy_covars == 0:
             return {}
-        if self._neighbours is None:
-            self._neighbours = neighbour_indices(self.model.gaussians.means, ISOTROPY_NEIGHBOURS)
-        near = self._neighbours
+        near = self._near()
         canonical = self.model.gaussians.means, self.model.canonical_covariances()
         return {
             "isotropy_means": weights.isotropy_means
@@ -388,7 +409,9 @@ def _network_optimiser(
                 groups.append({"params": [value], "lr": rate} | named)
     for name, value in trajectory.named_parameters():
         if value.requires_grad:
-            rate = rates.transl if "transl" in name else rates.poses
+            rate = {"transl": rates.transl, "shutter": rates.shutter}.get(
+                name.rpartition("_")[2], rates.poses
+            )
             groups.append({"params": [value], "lr": rate, "name": f"motion.{name}"})
     if fusion is not None:
         for name, value in fusion.named_parameters():

@@ -77,6 +77,15 @@ def isotropy_of_covars(
     return (_spacings(canonical, neighbours) - _spacings(posed, neighbours)).abs().mean()
 
 
+def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Float[Tensor, ""]:
+    """Mean squared difference between a Gaussian's values and its neighbours'.
+
+    Where the camera sees a Gaussian the picture outweighs this; where it does not, values become
+    those of the nearest that it does see.
+    """
+    return (values[neighbours] - values[:, None]).square().mean()
+
+
 def _spacings(values: Tensor, neighbours: Tensor) -> Tensor:
     # Not `norm`: two Gaussians in one place are the case where its gradient is not a number.
     apart = values[neighbours] - values[:, None]

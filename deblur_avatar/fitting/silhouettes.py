@@ -49,9 +49,7 @@ def _measure(
     outline, normals = np.zeros((2, OUTLINE_POINTS, 2), np.float32)
     if not inside.any():
         return np.zeros(inside.shape, np.float32), outline, normals, np.array(False)
-    # Between the middles of cells; the edge is half a cell nearer.
-    cells = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    outside = SHRINK * (cells - 0.5).clip(0)
+    outside = SHRINK * cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     full = (matte >= INSIDE).astype(np.uint8)
     found, _ = cv2.findContours(full, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     longest = max(len(piece) for piece in found)
@@ -62,9 +60,7 @@ def _measure(
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1))]
     normals = -np.stack([slope[chosen[:, 1], chosen[:, 0]] for slope in slopes], axis=-1)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-    # From the middle of the outermost pixels to their edge.
-    outline = chosen.astype(np.float32) + 0.5 + 0.5 * normals
-    return outside.astype(np.float32), outline, normals, np.array(True)
+    return outside.astype(np.float32), chosen.astype(np.float32) + 0.5, normals, np.array(True)
 
 
 def distance_outside(

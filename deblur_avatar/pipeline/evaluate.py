@@ -91,7 +91,7 @@ def evaluate(
         "reblur": reblur(model, observations, motion),
         "recovery": dict.fromkeys(RECOVERED),
         "gap_to_ceiling_db": None,
-        "model": _size(avatar, motion),
+        "model": _size(avatar, motion, observations.train),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
     fps = _render_fps(model, observations, motion)
@@ -212,7 +212,7 @@ def _initial(observations: Observations, true: Poses | None) -> dict[str, float 
     return dict(errors)
 
 
-def _size(avatar: Avatar, motion: Motion) -> dict[str, Any]:
+def _size(avatar: Avatar, motion: Motion, train: Sequence[int]) -> dict[str, Any]:
     """What the avatar is made of; the motion is not counted, since another one can drive it."""
     gaussians = (
         avatar.means, avatar.quats, avatar.log_scales, avatar.opacity_logits, avatar.features,
@@ -223,7 +223,7 @@ def _size(avatar: Avatar, motion: Motion) -> dict[str, Any]:
         "gaussians": len(avatar.means),
         "parameters": sum(tensor.numel() for tensor in tensors),
         "megabytes": sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 1e6,
-        "virtual_poses_mean": float(len(motion.u)),
+        "virtual_poses_mean": float(motion.counts[list(train)].double().mean()),
         "parts": [*parts, f"motion:{motion.kind}"],
     }
 

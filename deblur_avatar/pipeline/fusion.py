@@ -4,7 +4,7 @@ import torch
 
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
 from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.motion import trajectory_from_artifact
+from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
 from deblur_avatar.config import FusionParams, ScheduleParams, StartParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report

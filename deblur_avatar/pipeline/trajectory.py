@@ -3,11 +3,13 @@
 import torch
 
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
+from deblur_avatar.avatar.clip_motion import ClipMotion
 from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.motion import ClipMotion, FrameMotion, PairMotion, Trajectory, instants
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion, Trajectory, instants
 from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
+from deblur_avatar.fitting.virtual_poses import choose_counts
 
 
 def fit_trajectory(
@@ -29,11 +31,13 @@ def fit_trajectory(
     """
     model = AvatarModel.from_artifact(avatar, observations.body, device)
     trajectory = new_trajectory(observations, params, generator).to(device)
+    choose_counts(trajectory, observations, params)
     fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator)
     fit.restore(checkpoint)
     seconds = fit.run(
         schedule.warmup + 1, schedule.trajectory, params.supervision, params.mask, report
     )
+    choose_counts(trajectory, observations, params)
     motion = trajectory.to_artifact(model.betas, observations.timestamps)
     cost = {"seconds": seconds, "gaussians": len(model.gaussians)}
     last = schedule.trajectory
@@ -62,5 +66,6 @@ def new_trajectory(
         return ClipMotion.near(
             poses, u, observations.timestamps, observations.exposure,
             params.knot_frames * frame, params.smoothness,
+            estimate_shutter=params.shutter == "estimated",
         )  # fmt: skip
     return FrameMotion(poses, refined=params.motion == "frame")

@@ -3,21 +3,14 @@ import dataclasses
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Motion, Poses
+from deblur_avatar.artifacts import Motion
 from deblur_avatar.avatar.model import joint_rotations
-from deblur_avatar.avatar.motion import (
-    ClipMotion,
-    FrameMotion,
-    PairMotion,
-    instants,
-    trajectory_from_artifact,
-)
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants
+from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import (
-    axis_angle_to_matrix,
     axis_angle_to_quat,
     matrix_to_axis_angle,
-    quat_to_matrix,
 )
 
 TIMES = torch.arange(4) / 60
@@ -189,63 +182,3 @@ def test_a_kind_of_motion_from_another_version_is_refused(poses):
     artifact = pair(poses).to_artifact(poses.betas, TIMES)
     with pytest.raises(ArtifactError, match="no motion of kind 'cubic' is known; run `dvc repro`"):
         trajectory_from_artifact(dataclasses.replace(artifact, kind="cubic"))
-
-
-def circling(frames: int) -> Poses:
-    """A body that turns all the way round at constant speed while it drifts."""
-    turn = torch.linspace(0, 2 * torch.pi, frames)
-    axis_angle = torch.zeros(frames, 24, 3)
-    axis_angle[:, 0, 1] = torch.remainder(turn + torch.pi, 2 * torch.pi) - torch.pi
-    return Poses(
-        betas=torch.zeros(2),
-        global_orient=axis_angle[:, 0],
-        body_pose=axis_angle[:, 1:],
-        transl=torch.linspace(0, 1, frames)[:, None].repeat(1, 3),
-    )
-
-
-def clip_motion(poses: Poses, exposure: float, knot_frames: float = 2.0) -> ClipMotion:
-    timestamps = torch.arange(len(poses.transl)) / 60
-    return ClipMotion.near(
-        poses, instants(5, "midpoints"), timestamps, exposure, knot_frames / 60, 0.0
-    )
-
-
-def test_a_clip_trajectory_passes_near_the_given_poses_through_a_whole_turn():
-    poses = circling(40)
-    motion = clip_motion(poses, exposure=2 / 60)
-    for frame in (5, 20, 35):
-        middle = quat_to_matrix(motion(frame).centre_quats[0])
-        given = axis_angle_to_matrix(poses.global_orient[frame])
-        torch.testing.assert_close(middle, given, atol=0.02, rtol=0)
-
-
-def test_exposures_that_overlap_agree_on_where_the_body_was():
-    motion = clip_motion(circling(40), exposure=4 / 60)
-    # An exposure of two frame intervals ends where that of the next frame but one begins.
-    apart = float(motion.times[22, -1] - motion.times[20, -1])
-    motion.times = motion.times[:, -1:] + torch.tensor([-0.5, 0.5, 0.0]) * apart
-    torch.testing.assert_close(motion(20).quats[1], motion(22).quats[0])
-
-
-def test_halving_the_exposure_halves_the_motion_inside_it():
-    def travel(exposure: float) -> float:
-        seen = clip_motion(circling(40), exposure)(20)
-        return float((seen.transl[-1] - seen.transl[0]).detach().norm())
-
-    assert travel(2 / 60) == pytest.approx(2 * travel(1 / 60), rel=0.05)
-
-
-def test_a_frame_pulls_on_the_knots_around_it_alone():
-    motion = clip_motion(circling(40), exposure=1 / 60)
-    motion(20).transl.sum().backward()
-    pulled = motion.transl.grad.abs().sum(1) > 0
-    assert 4 <= int(pulled.sum()) <= 6
-
-
-def test_a_clip_trajectory_survives_being_saved(tmp_path):
-    motion = clip_motion(circling(12), exposure=2 / 60)
-    motion.to_artifact(torch.zeros(2), torch.arange(12) / 60).save(tmp_path / "motion")
-    again = trajectory_from_artifact(Motion.load(tmp_path / "motion"))
-    torch.testing.assert_close(again(7).quats, motion(7).quats, atol=0, rtol=0)
-    torch.testing.assert_close(again(7).transl, motion(7).transl, atol=0, rtol=0)

@@ -7,7 +7,8 @@ from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Checkpoint
 from deblur_avatar.avatar import model as model_module
 from deblur_avatar.avatar.body import posed_joints
 from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants, trajectory_from_artifact
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants
+from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
 from deblur_avatar.config import ModelParams, ScheduleParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import avatar_fit

@@ -1,0 +1,28 @@
+"""The trajectory behind a saved motion, so that a later stage can go on with it."""
+
+import torch
+
+from deblur_avatar.artifacts import Motion
+from deblur_avatar.avatar.clip_motion import ClipMotion
+from deblur_avatar.avatar.motion import FrameMotion, PairMotion, Trajectory
+from deblur_avatar.errors import ArtifactError
+
+
+def trajectory_from_artifact(motion: Motion) -> Trajectory:
+    """Rebuild the trajectory that a stage saved.
+
+    Raises:
+        ArtifactError: if it is of a kind that this version does not know.
+    """
+    trajectory: Trajectory
+    if motion.kind == "clip":
+        return ClipMotion.restored(motion.u, motion.parameters)
+    if motion.kind == "pair":
+        trajectory = PairMotion(motion.centre, motion.u, 0.0, torch.Generator())
+    elif motion.kind in ("frame", "fixed"):
+        trajectory = FrameMotion(motion.centre, refined=motion.kind == "frame")
+    else:
+        raise ArtifactError(f"no motion of kind {motion.kind!r} is known; run `dvc repro`")
+    # Copies values: fitting works in place, and an artifact never changes.
+    trajectory.load_state_dict(motion.parameters)
+    return trajectory
