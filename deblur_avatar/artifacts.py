@@ -115,13 +115,15 @@ class Clip(Artifact):
 
     `frames[r]` comes from camera `recorded[r]`. A studio clip also carries what a real one cannot:
     mattes, poses, and the physically true blur of the training camera for the window asked for.
-    `frame_indices` of the true blur are those frames whose window lies inside the clip.
+    `frame_indices` of the true blur are those frames whose window lies inside the clip. Landmarks
+    are those that a user brought along.
     """
 
     schema: ClassVar[str] = "clip/1"
 
     frames: UInt8[Tensor, "R F H W 3"]
     mattes: UInt8[Tensor, "R F H W"] | None
+    landmarks: Float32[Tensor, "R F L 3"] | None = None  # x, y (pixels), confidence; MediaPipe's 33
     recorded: tuple[int, ...]  # camera index of each stack of frames
     train_camera: int  # camera index
     cameras: Cameras
@@ -161,6 +163,7 @@ class BlurryClip(Artifact):
 
     frames: UInt8[Tensor, "R F H W 3"]
     mattes: UInt8[Tensor, "R F H W"] | None
+    landmarks: Float32[Tensor, "R F L 3"] | None = None  # as in `Clip`
     sharp_frames: UInt8[Tensor, "F H W 3"] | None  # the training camera; for `oracle`, `ceiling`
     sharp_mattes: UInt8[Tensor, "F H W"] | None
     recorded: tuple[int, ...]
@@ -191,7 +194,7 @@ class Observations(Artifact):
     in pixels of the clip) of camera c was scaled to `cameras.sizes[c]`. All frames of the clip are
     here, so that poses are known throughout; only `train` are fitted and `validation` are set
     aside.
-    `weights` are 0 for frames without a person.
+    `weights` in [0, 1] say how far a frame's pose is to be trusted; 0 for frames without a person.
     """
 
     schema: ClassVar[str] = "observations/1"
@@ -227,7 +230,8 @@ class Reference(Artifact):
     View v shows frame `frame_indices[v]` of the clip from camera `camera_indices[v]`;
     `novel_pose[v]` is 1 for frames kept from training. `seen` is 255 where the surface point behind
     the pixel was seen by the training camera in some training frame. `motion` samples the true
-    motion at `motion_times`, densely enough to cover every exposure.
+    motion at `motion_times`, densely enough to cover every exposure. A user's own video has no
+    truth: its reference has no views.
     """
 
     schema: ClassVar[str] = "reference/1"

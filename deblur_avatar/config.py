@@ -102,7 +102,33 @@ class MultiviewParams(Params):
     held_out: Fraction
 
 
-ClipParams = Annotated[StudioParams | MultiviewParams, Field(discriminator="source")]
+class MonocularParams(Params):
+    """One video of one person by one camera, blurred as it is; the camera may move.
+
+    `path` is a video or a folder of pictures. It, `keypoints`, `masks` and `poses` may hold
+    `${VARIABLE:-default}`; null means that these are estimated from the frames.
+    """
+
+    source: Literal["monocular"]
+    path: str
+    frames: tuple[Annotated[int, Field(ge=0)], int | None]  # first, one past last; null: all
+    stride: Count  # every so-manieth of them is taken
+    fps: Positive  # of a folder of pictures; a video brings its own times
+    image_height: Count  # frames are scaled down to this height
+    focal: Literal["estimated", "field_of_view"] | Positive  # pixels of the footage as recorded
+    field_of_view: Annotated[float, Field(gt=5, lt=150)]  # degrees, longer side; the last resort
+    exposure_s: Positive | None  # seconds the shutter is open; null: `shutter` says
+    shutter: Annotated[float, Field(gt=0, le=1)]  # exposure as a share of the frame interval
+    light: Literal["srgb", "linear"]
+    held_out: Annotated[float, Field(ge=0, lt=1)]  # last part of the clip, kept from training
+    keypoints: str | None  # OpenPose's or COCO's JSON
+    masks: str | None  # folder of pictures; not black is person
+    poses: str | None  # .npz
+
+
+ClipParams = Annotated[
+    StudioParams | MultiviewParams | MonocularParams, Field(discriminator="source")
+]
 
 
 # --- blur ---------------------------------------------------------------------------------------

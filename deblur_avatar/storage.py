@@ -232,7 +232,8 @@ def _read_manifest(folder: Path, schema: str) -> dict[str, Any]:
 def _write_images(folder: Path, stack: Tensor) -> None:
     folder.mkdir()
     dims = 3 if stack.shape[-1] == 3 and stack.ndim > 3 else 2
-    images = stack.detach().cpu().reshape(-1, *stack.shape[-dims:]).numpy()
+    count = int(np.prod(stack.shape[:-dims]))  # -1 would not do for an empty stack
+    images = stack.detach().cpu().reshape(count, *stack.shape[-dims:]).numpy()
     for index, image in enumerate(images):
         stored = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if dims == 3 else image
         path = folder / f"{index:06d}.png"

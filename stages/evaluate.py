@@ -23,7 +23,7 @@ def main(
         avatar = Avatar.load(fusion / "avatar")
         motion = Motion.load(fusion / "motion")
         evaluation = evaluate(seen, Reference.load(reference), avatar, motion, context.device)
-        pictures = draw_pictures(evaluation.comparisons, seen, avatar, context.device)
+        pictures = draw_pictures(evaluation.comparisons, seen, avatar, motion, context.device)
         pictures.save(out)
         content = {"scene": scene, "method": method, **evaluation.metrics}
         content["cost"] = {**read_costs(costs, params), "render_fps": evaluation.render_fps}

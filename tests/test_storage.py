@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
+from deblur_avatar.artifacts import Reference
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.storage import Artifact
 
@@ -176,3 +177,19 @@ def test_a_damaged_artifact_is_refused_by_name(tmp_path, damage, message):
     damage(tmp_path / "x")
     with pytest.raises(ArtifactError, match=message):
         Example.load(tmp_path / "x")
+
+
+def test_an_empty_stack_of_images_comes_back_empty(tmp_path):
+    reference = Reference(
+        images=torch.zeros(0, 4, 6, 3, dtype=torch.uint8),
+        mattes=torch.zeros(0, 4, 6, dtype=torch.uint8),
+        seen=None,
+        camera_indices=torch.zeros(0, dtype=torch.long),
+        frame_indices=torch.zeros(0, dtype=torch.long),
+        novel_pose=torch.zeros(0, dtype=torch.long),
+        background=(0.0, 0.0, 0.0),
+        motion_times=None,
+        motion=None,
+    )
+    reference.save(tmp_path / "x")
+    assert Reference.load(tmp_path / "x").images.shape == (0, 4, 6, 3)

@@ -65,6 +65,7 @@ def blur(clip: Clip, params: BlurParams) -> tuple[BlurryClip, dict[str, Any]]:
     blurry = BlurryClip(
         frames=frames,
         mattes=mattes,
+        landmarks=None if clip.landmarks is None else clip.landmarks[:, chosen],
         sharp_frames=clip.frames[row, chosen],
         sharp_mattes=None if clip.mattes is None else clip.mattes[row, chosen],
         recorded=clip.recorded,
@@ -115,6 +116,7 @@ def _passed_through(clip: Clip) -> BlurryClip:
     return BlurryClip(
         frames=clip.frames,
         mattes=clip.mattes,
+        landmarks=clip.landmarks,
         sharp_frames=None,
         sharp_mattes=None,
         recorded=clip.recorded,

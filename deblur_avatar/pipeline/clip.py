@@ -3,14 +3,15 @@
 import torch
 
 from deblur_avatar.artifacts import Body, Clip, Reference
-from deblur_avatar.config import MultiviewParams, StudioParams
+from deblur_avatar.config import MonocularParams, MultiviewParams, StudioParams
 from deblur_avatar.fitting.landmarks import PersonDetector
+from deblur_avatar.sources.monocular import load_monocular
 from deblur_avatar.sources.multiview import load_multiview
 from deblur_avatar.sources.studio.source import load_studio
 
 
 def load_clip(
-    params: StudioParams | MultiviewParams,
+    params: StudioParams | MultiviewParams | MonocularParams,
     body: Body,
     *,
     detect: PersonDetector,
@@ -20,8 +21,8 @@ def load_clip(
 
     Args:
         params: the scene's `clip` section; its class says which source.
-        body: a synthetic person's; a real one has her own.
-        detect: finds a real person's mattes on the sharp test views.
+        body: a synthetic person's, or that of poses a user brought along.
+        detect: finds a real person's mattes, where a source needs them.
         generator: for what a source draws at random.
 
     Raises:
@@ -30,4 +31,6 @@ def load_clip(
     """
     if isinstance(params, StudioParams):
         return load_studio(params, body, generator)
+    if isinstance(params, MonocularParams):
+        return load_monocular(params, body, lambda frames: detect(frames).mattes)
     return load_multiview(params, lambda frames: detect(frames).mattes)

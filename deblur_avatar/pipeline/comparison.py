@@ -51,7 +51,7 @@ def compared(results: Mapping[str, Result]) -> dict[str, Result]:
     """
 
     def image(method: str, metric: str) -> float | None:
-        found = results.get(method, {}).get("image", {}).get(metric)
+        found = (results.get(method, {}).get("image") or {}).get(metric)
         return float(found) if found is not None and math.isfinite(found) else None
 
     filled = {}

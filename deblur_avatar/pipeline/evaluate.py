@@ -62,13 +62,13 @@ def evaluate(
 
     Args:
         observations: the blurred ones, whatever the method was fitted to.
-        reference: sharp test views, and the true motion where it is known.
+        reference: sharp test views, none for a user's own video, and the true motion where known.
         avatar: fitted.
         motion: of every exposure.
         device: to draw on.
 
     Raises:
-        ArtifactError: if no test view can be compared.
+        ArtifactError: if there are test views, but none can be compared.
     """
     model = AvatarModel.from_artifact(avatar, observations.body, device)
     views = truth_views(observations, reference)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from deblur_avatar.artifacts import Avatar, Observations
+from deblur_avatar.artifacts import Avatar, Motion, Observations
 from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.avatar.driving_motion import BodyMotion
 from deblur_avatar.avatar.model import AvatarModel, draw
@@ -18,6 +18,7 @@ from deblur_avatar.avatar.placement import framed_intrinsics, place
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.evaluate import Comparison
+from deblur_avatar.pipeline.explained_frames import draw_explained
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
@@ -50,21 +51,30 @@ def draw_pictures(
     comparisons: Sequence[Comparison],
     observations: Observations,
     avatar: Avatar,
+    motion: Motion,
     device: torch.device,
 ) -> Pictures:
     """Choose test views spread over cameras and time, the same for every method of a scene.
+
+    Without any, blurred frames set aside take their place, beside the averaged and the sharp
+    render of them.
 
     Returns:
         `strip.png` (renders over truths over FLIP maps), `turntable.png`, and for each view chosen
         `<camera>-<frame>-{render,truth,difference}.png` and `<frame>-blurred.png`, the frame that
         the training camera took at that time; the index tells which is which.
     """
+    if not comparisons:
+        explained, index = draw_explained(avatar, motion, observations, NOVEL_VIEWS, device)
+        files = {name: picture.numpy() for name, picture in explained.items()}
+        files["strip.png"] = _explained_strip(files, index)
+        files["turntable.png"] = turntable(avatar, observations, device)
+        return Pictures(files, index)
     chosen = [
         *_spread([c for c in comparisons if not c.view.novel_pose], NOVEL_VIEWS),
         *_spread([c for c in comparisons if c.view.novel_pose], NOVEL_POSES),
     ]
-    files: dict[str, Picture] = {}
-    index: list[dict[str, Any]] = []
+    files, index = {}, []
     for comparison in chosen:
         view = comparison.view
         frame = observations.frame_indices[view.position]
@@ -140,6 +150,15 @@ def _strip(pictures: Sequence[Picture], index: Sequence[dict[str, Any]]) -> Pict
     labels += ["truth"] * len(index)
     labels += [f"FLIP {entry['flip']:.3f}" for entry in index]
     return contact_sheet(pictures, len(index), labels)
+
+
+def _explained_strip(files: dict[str, Picture], index: Sequence[dict[str, Any]]) -> Picture:
+    """Blurred frames in the first row, averaged renders in the second, sharp ones in the third."""
+    labels = [f"frame {entry['frame']}, blurred" for entry in index]
+    labels += [f"averaged render: {entry['psnr']:.1f} dB" for entry in index]
+    labels += ["sharp render"] * len(index)
+    rows = ("blurred", "averaged", "render")
+    return contact_sheet([files[e[kind]] for kind in rows for e in index], len(index), labels)
 
 
 def _spread(comparisons: Sequence[Comparison], count: int) -> list[Comparison]:

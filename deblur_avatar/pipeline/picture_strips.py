@@ -2,7 +2,8 @@
 
 Conventions. `evaluate` leaves one folder a run: `views.json`, a list of views (`camera`, `frame`,
 `novel_pose`), and for each the names of its pictures: `render`, `truth`, and `blurred`, the frame
-that the training camera took at that time.
+that the training camera took at that time. Footage without a truth has no `truth`; its renders are
+of the training camera.
 """
 
 import base64
@@ -95,10 +96,10 @@ def _spread(count: int, most: int) -> list[int]:
 
 def _strip(drawn: Mapping[str, tuple[Path, dict[str, Any]]]) -> Strip:
     folder, view = next(iter(drawn.values()))
-    truth = read_picture(folder / view["truth"])
+    truth = {TRUTH: read_picture(folder / view["truth"])} if "truth" in view else {}
     pictures = {method: read_picture(path / v["render"]) for method, (path, v) in drawn.items()}
-    box = person_box([truth, *pictures.values()])
-    cut = {label: _framed(picture, box) for label, picture in {**pictures, TRUTH: truth}.items()}
+    box = person_box([*truth.values(), *pictures.values()])
+    cut = {label: _framed(picture, box) for label, picture in {**pictures, **truth}.items()}
     blurred = read_picture(folder / view["blurred"])
     where = f"camera {view['camera']}, frame {view['frame']}"
     pose = ", a pose kept from training" if view["novel_pose"] else ""

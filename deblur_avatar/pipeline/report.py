@@ -30,13 +30,12 @@ from deblur_avatar.pipeline.report_tables import NOT_KNOWN, facts_of, tables_of
 from deblur_avatar.pipeline.results_table import (
     BOUNDS,
     NOT_MEASURED,
-    SHORT,
     Table,
     look_up,
     markdown,
-    measured,
     plain,
     results_table,
+    short_columns,
 )
 from deblur_avatar.pipeline.speed_accuracy import drawn, speed_accuracy
 
@@ -120,7 +119,7 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
             for scene, results in scenes.items()
         ],
     )
-    main = {s: results_table(results, measured(results, SHORT)) for s, results in scenes.items()}
+    main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     return Report(
         page=page,
         summary=_summary(scenes),

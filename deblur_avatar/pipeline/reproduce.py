@@ -12,6 +12,7 @@ from pathlib import Path
 
 from deblur_avatar.config import (
     ClipParams,
+    MonocularParams,
     MultiviewParams,
     check_parameters,
     expand_environment,
@@ -39,6 +40,10 @@ def missing_footage(params_file: Path) -> dict[str, str]:
             root = Path(expand_environment(clip.root, f"scenes.{scene}.clip.root"))
             if not root.is_dir():
                 missing[scene] = f"no folder {root} (scenes.{scene}.clip.root)"
+        elif isinstance(clip, MonocularParams):
+            path = Path(expand_environment(clip.path, f"scenes.{scene}.clip.path"))
+            if not path.exists():
+                missing[scene] = f"no video and no folder {path} (scenes.{scene}.clip.path)"
     return missing
 
 

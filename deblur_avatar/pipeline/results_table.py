@@ -72,7 +72,9 @@ COST = (
     Column(("model", "virtual_poses_mean"), "virtual poses", "a frame", 1),
     Column(("run", "iterations"), "iterations", "", 0),
 )
+EXPLAINED = Column(("reblur", "psnr"), "blurred frames explained", "dB", 2, 1)
 SHORT = (PSNR, SSIM, FLIP, SEEN, RECOVERY, TO_CEILING, TRAINING, DRAWING, GAUSSIANS)
+WITHOUT_TRUTH = (EXPLAINED, TRAINING, DRAWING, GAUSSIANS)
 
 
 def method_order(methods: Iterable[str]) -> list[str]:
@@ -133,6 +135,11 @@ def measured(
         for column in columns
         if any(look_up(result, column.path) is not None for result in results.values())
     )
+
+
+def short_columns(results: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
+    """The main table's columns: against the truth where there is one."""
+    return measured(results, SHORT if measured(results, [PSNR]) else WITHOUT_TRUTH)
 
 
 def shown(value: float | None, column: Column, missing: str = NOT_MEASURED) -> str:

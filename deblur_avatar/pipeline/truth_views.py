@@ -48,9 +48,15 @@ def truth_views(observations: Observations, reference: Reference) -> list[TruthV
     clip kept from training. Pictures of other frames (validation, frames whose exposure reaches
     into the part kept, frames without a person or without a blurred counterpart) are left out.
 
+    Returns:
+        Nothing for footage that has no truth.
+
     Raises:
-        ArtifactError: if no picture is left, or the reference is of other cameras.
+        ArtifactError: if there are pictures but none is left, or the reference is of other cameras.
     """
+    if not len(reference.images):
+        logger.info("no sharp truth: only how well the blurred frames are explained is measured")
+        return []
     if int(reference.camera_indices.max()) >= len(observations.cameras.Ks):
         raise ArtifactError(
             f"the reference shows camera {int(reference.camera_indices.max())}, the observations "

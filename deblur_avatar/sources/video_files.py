@@ -26,16 +26,18 @@ class Video:
     frames: UInt8[Tensor, "F H W 3"]
     timestamps: Float64[Tensor, " F"]  # seconds
     recorded_size: tuple[int, int]  # width and height before scaling, pixels
+    total: int | None  # frames of the file, where it was read to its end
 
 
-def read_video(path: Path, first: int, stop: int, height: int) -> Video:
+def read_video(path: Path, first: int, stop: int | None, height: int, stride: int = 1) -> Video:
     """Read frames `first` to `stop` - 1 and scale them down to `height` rows as they come.
 
     Args:
         path: anything FFmpeg decodes.
         first: number of the first frame wanted, from 0.
-        stop: one past the last.
+        stop: one past the last; None for all there are.
         height: rows wanted; frames that have no more are kept as they are.
+        stride: every so-manieth frame is kept.
 
     Raises:
         ArtifactError: if the file is missing, cannot be decoded, ends too early, or changes size.
@@ -49,22 +51,30 @@ def read_video(path: Path, first: int, stop: int, height: int) -> Video:
         size = size or found
         if found != size:
             raise ArtifactError(f"{path}: frame {count} is {found}, those before it {size}")
-        if count >= first:
-            frames.append(_shrunk(image, height))
+        if count >= first and (count - first) % stride == 0:
+            frames.append(shrunk(image, height))
             timestamps.append(seconds)
         count += 1
         if count == stop:
             break
-    if count < stop or size is None:
+    if not frames or size is None or (stop is not None and count < stop):
+        last = "the last" if stop is None else stop - 1
         raise ArtifactError(
-            f"{path} ends after {count} frames, wanted frames {first} to {stop - 1}; download it "
+            f"{path} ends after {count} frames, wanted frames {first} to {last}; download it "
             "again or ask for fewer frames"
         )
     return Video(
         frames=torch.from_numpy(np.stack(frames)),
         timestamps=torch.tensor(timestamps, dtype=torch.float64),
         recorded_size=size,
+        total=None if count == stop else count,
     )
+
+
+def container_metadata(path: Path) -> dict[str, str]:
+    """What the container says of itself and of its video, as text."""
+    with av.open(str(path)) as container:
+        return {**container.metadata, **container.streams.video[0].metadata}
 
 
 def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
@@ -89,7 +99,8 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
         raise ArtifactError(f"{path} cannot be decoded: {error}; download it again") from error
 
 
-def _shrunk(image: UInt8[np.ndarray, "H W 3"], height: int) -> UInt8[np.ndarray, "h w 3"]:
+def shrunk(image: UInt8[np.ndarray, "H W *c"], height: int) -> UInt8[np.ndarray, "h w *c"]:
+    """Scale a picture down to `height` rows; one that has no more is kept as it is."""
     if image.shape[0] <= height:
         return image
     width = round(image.shape[1] * height / image.shape[0])

@@ -116,7 +116,9 @@ def test_rendering_speed_is_measured(scene):
 
 def test_pictures_show_views_of_every_camera_once(scene, tmp_path):
     evaluation = evaluate(scene.observations, scene.reference, scene.avatar, scene.motion, CPU)
-    pictures = draw_pictures(evaluation.comparisons, scene.observations, scene.avatar, CPU)
+    pictures = draw_pictures(
+        evaluation.comparisons, scene.observations, scene.avatar, scene.motion, CPU
+    )
     shown = [(entry["camera"], entry["frame"]) for entry in pictures.index]
     assert len(shown) == len(set(shown)) == 8
     assert {camera for camera, _ in shown} == {"left", "right"}
@@ -138,3 +140,37 @@ def test_a_difference_is_drawn_darker_the_smaller_it_is():
     assert brightness[0] < 10
     assert brightness[-1] > 550
     assert brightness[128] > brightness[40] > brightness[0]
+
+
+def without_truth(scene):
+    reference = scene.reference
+    nothing = {
+        name: getattr(reference, name)[:0]
+        for name in ("images", "mattes", "camera_indices", "frame_indices", "novel_pose")
+    }
+    return dataclasses.replace(reference, **nothing, motion=None, motion_times=None)
+
+
+def test_footage_without_truth_is_measured_by_the_blurred_frames_it_explains(scene):
+    content = measured(scene, reference=without_truth(scene))
+    assert content["image"] is None
+    assert content["novel_pose"] is None
+    assert content["reblur"] == measured(scene)["reblur"]
+    assert content["reblur"]["psnr"] > 28
+    assert content["counts"] == {"novel_views": 0, "novel_poses": 0}
+    json.dumps(content)
+
+
+def test_without_truth_pictures_show_what_was_set_aside(scene, tmp_path):
+    reference = without_truth(scene)
+    evaluation = evaluate(scene.observations, reference, scene.avatar, scene.motion, CPU)
+    pictures = draw_pictures(
+        evaluation.comparisons, scene.observations, scene.avatar, scene.motion, CPU
+    )
+    (entry,) = pictures.index  # frame 2 validates
+    assert entry["frame"] == scene.observations.frame_indices[2]
+    assert "truth" not in entry
+    assert (pictures.files[entry["blurred"]] == scene.observations.frames[2].numpy()).all()
+    difference = pictures.files[entry["averaged"]].astype(int) - pictures.files[entry["blurred"]]
+    assert abs(difference).mean() < 3
+    assert {"strip.png", "turntable.png"} < set(pictures.files)

@@ -323,3 +323,33 @@ def test_the_chart_has_a_point_for_each_method_and_bounds_are_hollow():
     assert picture.startswith("<svg")
     assert all(f">{method}<" in picture for method in PSNR)
     assert drawn(specification) == picture
+
+
+def untrue(project, method, explained):
+    """A scene of a user's own video: nothing but blurred frames to compare with."""
+    content = result("mine", method, 0.0) | {
+        "image": None, "novel_pose": None, "cameras": {}, "counts": {"novel_views": 0},
+        "motion": {"joint_error_mm": None}, "initial": {"joint_error_mm": None},
+        "reblur": {"psnr": explained, "psnr_train": explained + 1},
+    }  # fmt: skip
+    write_json(project / "metrics" / "mine" / f"{method}.json", content)
+    folder = project / "evaluate" / f"mine-{method}"
+    names = {"render": "r.png", "blurred": "b.png", "averaged": "a.png"}
+    for name in names.values():
+        write_picture(folder / name, person(200))
+    write_json(folder / "views.json", [{"camera": "c", "frame": 3, "novel_pose": False, **names}])
+
+
+def test_a_scene_without_truth_says_how_well_its_blurred_frames_are_explained(project):
+    untrue(project, "lean", 31.25)
+    untrue(project, "blind", 29.0)
+    report = made(project)
+    page = Page(report.page)
+    assert "This footage has no sharp truth" in report.page
+    assert "| `lean` | **31.25** |" in report.tables
+    assert "31.25" in report.log
+    assert not page.open
+    (strip,) = strips_of_scene({"lean": project / "evaluate" / "mine-lean"}, 4)
+    assert list(strip.pictures) == [INPUT, "lean"]
+    assert report.summary["methods"]["lean"]["recovery"]["psnr"] is None
+    assert [panel["title"] for panel in report.chart["hconcat"]] == ["studio", "yard"]

@@ -32,6 +32,22 @@ def test_footage_is_missing_where_its_folder_is(folder, monkeypatch):
     )
 
 
+def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
+    clip = {
+        "source": "monocular", "path": "mine.mp4", "frames": [0, None], "stride": 1, "fps": 30.0,
+        "image_height": 48, "focal": "estimated", "field_of_view": 60.0, "exposure_s": None,
+        "shutter": 0.5, "light": "linear", "held_out": 0.0, "keypoints": None, "masks": None,
+        "poses": None,
+    }  # fmt: skip
+    tiny_content["scenes"]["courtyard"]["clip"] = clip
+    with (folder / "params.yaml").open("w") as file:
+        YAML().dump(tiny_content, file)
+    reason = "no video and no folder mine.mp4 (scenes.courtyard.clip.path)"
+    assert reproduce.missing_footage(folder / "params.yaml") == {"courtyard": reason}
+    (folder / "mine.mp4").touch()
+    assert reproduce.missing_footage(folder / "params.yaml") == {}
+
+
 def test_parameters_that_cannot_be_run_stop_everything_at_once(folder):
     text = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(text.replace("virtual_poses:", "virtual_pose:"))

@@ -1,0 +1,138 @@
+"""One camera's pictures and when each was taken: a video file, or a folder of pictures.
+
+Conventions. Frames are numbered from 0 as the file holds them (a folder: in the natural order of
+its names). What is kept are new frames only: one that repeats its predecessor to the last bit was
+put in by a player or an editor and was never taken. Gaps, where frames were dropped, stay in the
+timestamps.
+"""
+
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float64, UInt8
+from torch import Tensor
+
+from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.imaging.picture_files import read_picture
+from deblur_avatar.sources.video_files import read_video, shrunk
+
+logger = logging.getLogger(__name__)
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+GAP = 1.5  # frame intervals from which on a frame is missing
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Frames of one camera; `numbers` say which of the file's they are."""
+
+    frames: UInt8[Tensor, "F H W 3"]
+    timestamps: Float64[Tensor, " F"]  # seconds
+    numbers: tuple[int, ...]
+    total: int | None  # frames of the file, where it was read to its end
+    recorded_size: tuple[int, int]  # width and height before scaling, pixels
+
+    @property
+    def interval(self) -> float:
+        """Seconds from one recorded frame to the next, as a rule."""
+        steps = torch.tensor(self.numbers).diff()
+        return float((self.timestamps.diff() / steps).median())
+
+
+def read_footage(
+    path: Path, frames: tuple[int, int | None], stride: int, fps: float, height: int
+) -> Footage:
+    """Read a video or a folder of pictures.
+
+    Args:
+        path: which.
+        frames: first, and one past the last or None for all.
+        stride: every so-manieth is read.
+        fps: frames a second of a folder; a video knows its times.
+        height: rows that larger frames are scaled down to.
+
+    Raises:
+        ConfigError: if there is no such file or folder, or fewer than two frames are asked for.
+        ArtifactError: if it cannot be decoded, or holds too few frames, or pictures of two sizes.
+    """
+    first, stop = frames
+    if stop is not None and stop - first <= stride:
+        raise ConfigError(f"clip.frames: {first} to {stop} by {stride} are fewer than two frames")
+    if path.is_dir():
+        read = _read_folder(path, first, stop, stride, fps, height)
+    elif path.is_file():
+        video = read_video(path, first, stop, height, stride)
+        numbers = tuple(range(first, first + stride * len(video.frames), stride))
+        read = Footage(video.frames, video.timestamps, numbers, video.total, video.recorded_size)
+    else:
+        raise ConfigError(f"clip.path: no video and no folder {path}; name the footage to be read")
+    return _new_frames(read, path)
+
+
+def files_in_order(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Files of these kinds, numbers in their names counted as numbers: `f2` before `f10`."""
+    found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
+    return sorted((path for path in found if path.is_file()), key=_natural)
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    pieces = re.split(r"(\d+)", path.name)
+    return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
+
+
+def _read_folder(
+    folder: Path, first: int, stop: int | None, stride: int, fps: float, height: int
+) -> Footage:
+    files = files_in_order(folder, PICTURES)
+    chosen = list(range(len(files)))[first:stop:stride]
+    if not chosen or (stop is not None and stop > len(files)):
+        raise ArtifactError(
+            f"{folder} holds {len(files)} pictures, wanted {first} to {stop or 'the last'}; "
+            f"pictures are {', '.join(PICTURES)}"
+        )
+    pictures, size = [], None
+    for number in chosen:
+        picture = read_picture(files[number])
+        found = (picture.shape[1], picture.shape[0])
+        size = size or found
+        if found != size:
+            raise ArtifactError(f"{files[number]} is {found}, the pictures before it {size}")
+        pictures.append(torch.from_numpy(shrunk(picture, height)))
+    return Footage(
+        frames=torch.stack(pictures),
+        timestamps=torch.tensor(chosen, dtype=torch.float64) / fps,
+        numbers=tuple(chosen),
+        total=len(files),
+        recorded_size=size or (0, 0),
+    )
+
+
+def _new_frames(read: Footage, path: Path) -> Footage:
+    """Leave out repeated frames and those whose time does not advance; tell of gaps."""
+    new = [0]
+    for index in range(1, len(read.frames)):
+        later = bool(read.timestamps[index] > read.timestamps[new[-1]])
+        if later and not torch.equal(read.frames[index], read.frames[new[-1]]):
+            new.append(index)
+    if len(new) < 2:
+        raise ArtifactError(f"{path} shows {len(new)} picture; a clip is two or more")
+    if len(new) < len(read.frames):
+        left_out = [read.numbers[i] for i in range(len(read.frames)) if i not in set(new)]
+        logger.warning("%s: %d repeated frames left out: %s", path, len(left_out), left_out[:20])
+    kept = Footage(
+        frames=read.frames[new],
+        timestamps=read.timestamps[new],
+        numbers=tuple(read.numbers[index] for index in new),
+        total=read.total,
+        recorded_size=read.recorded_size,
+    )
+    steps = kept.timestamps.diff()
+    gaps = np.flatnonzero((steps > GAP * steps.median()).numpy())
+    if len(gaps):
+        missing = [kept.numbers[index] for index in gaps[:20]]
+        logger.warning("%s: %d gaps in time, after frames %s", path, len(gaps), missing)
+    return kept

@@ -1,0 +1,74 @@
+"""Masks that a user made with another program: a folder of pictures, one for each frame.
+
+A pixel that is not black is person, whatever its value: label pictures count as well as 0 and 255.
+Soft masks with more than two values from 0 to 255 keep them as coverage. A palette's colours do not
+count, its indices do: index 0 is background.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.sources.footage import PICTURES, files_in_order
+
+SAME_SHAPE = 0.02  # share by which a mask's aspect may differ from its frame's
+SOFT_VALUES = 16  # values from which on a mask is taken to be soft
+
+
+def read_masks(
+    folder: Path, numbers: tuple[int, ...], total: int | None, size: tuple[int, int]
+) -> UInt8[Tensor, "F H W"]:
+    """Mattes of some frames, brought to the size of the frames as they are used.
+
+    Args:
+        folder: masks in the order of the footage's frames, one for each.
+        numbers: frames wanted.
+        total: frames of the footage, where known.
+        size: width and height wanted.
+
+    Raises:
+        ArtifactError: if masks are missing, damaged, of another shape than frames, or all black.
+    """
+    if not folder.is_dir():
+        raise ArtifactError(f"no folder {folder}; check clip.masks")
+    files = files_in_order(folder, PICTURES)
+    if len(files) <= max(numbers) or total not in (None, len(files)):
+        raise ArtifactError(
+            f"{folder} holds {len(files)} masks, the footage has {total or max(numbers) + 1} "
+            "frames; one mask is wanted for every frame, in their order"
+        )
+    mattes = torch.stack([_read(files[number], size) for number in numbers])
+    if not mattes.any():
+        raise ArtifactError(f"{folder}: every mask is black; what is not black is the person")
+    return mattes
+
+
+def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
+    try:
+        with Image.open(path) as picture:
+            values = np.array(picture)
+            alpha = picture.mode in ("LA", "RGBA", "PA")
+    except (OSError, UnidentifiedImageError, ValueError) as error:
+        raise ArtifactError(f"{path} is not a picture: {error}") from None
+    if values.ndim == 3:
+        # The alpha channel of a mask is mostly solid; where there is colour, that counts.
+        colour = values[..., :-1] if alpha else values
+        values = colour.max(-1)
+    height, width = values.shape
+    if abs(width / height - size[0] / size[1]) > SAME_SHAPE * size[0] / size[1]:
+        raise ArtifactError(
+            f"{path} is {width} x {height}, of another shape than the frames ({size[0]} x {size[1]}"
+            " as used); masks must show the whole frame"
+        )
+    soft = values.dtype == np.uint8 and len(np.unique(values)) >= SOFT_VALUES
+    matte = values if soft else np.where(values > 0, 255, 0).astype(np.uint8)
+    scaled = (
+        matte if (width, height) == size else cv2.resize(matte, size, None, 0, 0, cv2.INTER_AREA)
+    )
+    return torch.from_numpy(np.ascontiguousarray(scaled))

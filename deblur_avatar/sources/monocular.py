@@ -1,0 +1,192 @@
+"""A person in one's own video: one camera, blurred as it is, no truth.
+
+The one recorded camera stands at the origin of the world, axes as OpenCV's, and never moves: where
+it did move, the person moves before it (`given_poses` says why that loses nothing).
+"""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from deblur_avatar.artifacts import Body, Cameras, Clip, Poses, Reference
+from deblur_avatar.config import MonocularParams, expand_environment
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.camera_motion import background_travel
+from deblur_avatar.sources.focal_length import focal_of_files, focal_of_view
+from deblur_avatar.sources.footage import Footage, read_footage
+from deblur_avatar.sources.given_masks import read_masks
+from deblur_avatar.sources.given_poses import read_poses
+from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
+from deblur_avatar.sources.self_calibration import calibrate_focal
+
+logger = logging.getLogger(__name__)
+
+STILL = 0.01  # of the picture's width, that the background of a still camera may move
+
+# Soft mattes of one person in consecutive frames of one camera.
+Segment = Callable[[UInt8[Tensor, "F H W 3"]], UInt8[Tensor, "F H W"]]
+
+
+def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tuple[Clip, Reference]:
+    """Read a video or a folder of pictures, and whatever the user brought along with it.
+
+    Args:
+        params: of the scene.
+        body: whose poses the user's are.
+        segment: tells the person from the background where the focal length is to be estimated.
+
+    Returns:
+        The clip, and a reference without views.
+
+    Raises:
+        ConfigError: if there is no such footage or the parameters contradict each other.
+        ArtifactError: if a file is damaged, or something brought along does not fit the footage.
+    """
+    footage = read_footage(
+        _path(params.path, "path"), params.frames, params.stride, params.fps, params.image_height
+    )
+    height, width = footage.frames.shape[1:3]
+    mattes = None
+    if params.masks is not None:
+        folder = _path(params.masks, "masks")
+        mattes = read_masks(folder, footage.numbers, footage.total, (width, height))
+    count = len(footage.frames)
+    clip = Clip(
+        frames=footage.frames[None],
+        mattes=None if mattes is None else mattes[None],
+        landmarks=_landmarks(params, footage),
+        recorded=(0,),
+        train_camera=0,
+        cameras=_camera(_focal(params, footage, mattes, segment), width, height),
+        timestamps=(footage.timestamps - footage.timestamps[0]).float(),
+        blurred=True,
+        exposure=params.exposure_s or params.shutter * footage.interval,
+        light=params.light,
+        held_out_from=max(1, round(count * (1 - params.held_out))),
+        initial=_poses(params, footage, body),
+        exact=None,
+        true_blur_srgb=None,
+        true_blur_linear=None,
+        true_blur_mattes=None,
+        frame_indices=None,
+        true_blur_exposure=None,
+    )
+    return clip, _no_truth(height, width)
+
+
+def _path(text: str, key: str) -> Path:
+    return Path(expand_environment(text, f"clip.{key}"))
+
+
+def _camera(focal: float, width: int, height: int) -> Cameras:
+    return Cameras(
+        Ks=torch.tensor([[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]]),
+        viewmats=torch.eye(4)[None],
+        distortion=torch.zeros(1, 5),
+        sizes=torch.tensor([[width, height]]),
+        names=("camera",),
+    )
+
+
+def _focal(
+    params: MonocularParams,
+    footage: Footage,
+    mattes: UInt8[Tensor, "F H W"] | None,
+    segment: Segment,
+) -> float:
+    """Pixels of the frames as read; the log says where it comes from."""
+    scale = footage.frames.shape[2] / footage.recorded_size[0]
+    focal, found = _focal_as_recorded(params, footage, mattes, segment, scale)
+    logger.info("focal length %.0f px of %d: %s", focal, footage.recorded_size[0], found)
+    return focal * scale
+
+
+def _focal_as_recorded(
+    params: MonocularParams,
+    footage: Footage,
+    mattes: UInt8[Tensor, "F H W"] | None,
+    segment: Segment,
+    scale: float,
+) -> tuple[float, str]:
+    size = footage.recorded_size
+    if isinstance(params.focal, float | int):
+        return float(params.focal), "given"
+    guess = focal_of_view(params.field_of_view, size)
+    of_view = f"field of view of {params.field_of_view:g} degrees"
+    if params.focal == "field_of_view":
+        return guess, of_view
+    told = focal_of_files(_path(params.path, "path"), size)
+    if told is not None:
+        return told, "from the file's metadata"
+    mattes = segment(footage.frames) if mattes is None else mattes
+    travel = background_travel(footage.frames, mattes)
+    if travel is not None and travel < STILL:
+        return guess, f"{of_view}; the camera stood still, so it cannot be estimated"
+    estimated, how = calibrate_focal(footage.frames, mattes)
+    if estimated is not None:
+        return estimated / scale, how
+    logger.warning(
+        "the focal length is a guess: %s. Set clip.focal (pixels) or clip.field_of_view if you "
+        "know better",
+        how,
+    )
+    return guess, of_view
+
+
+def _landmarks(params: MonocularParams, footage: Footage) -> Float[Tensor, "1 F L 3"] | None:
+    if params.keypoints is None:
+        return None
+    path = _path(params.keypoints, "keypoints")
+    people = read_keypoints(path)
+    wanted = footage.total or max(footage.numbers) + 1
+    # COCO's lists end with the last frame in which someone was found.
+    if len(people) > wanted or (path.is_dir() and len(people) != wanted):
+        raise ArtifactError(
+            f"{path} is of {len(people)} frames, the footage of {wanted}; give one entry for each "
+            "frame of the file, counted from 0"
+        )
+    people += [[]] * (wanted - len(people))
+    person = follow_person([people[number] for number in footage.numbers], str(path))
+    if not person.any():
+        raise ArtifactError(f"{path} shows no person in the frames asked for; check clip.frames")
+    marks = torch.from_numpy(person.astype(np.float32))
+    marks[..., :2] *= footage.frames.shape[2] / footage.recorded_size[0]
+    _check_inside(marks, footage, path)
+    return marks[None]
+
+
+def _check_inside(marks: Float[Tensor, "F L 3"], footage: Footage, path: Path) -> None:
+    height, width = footage.frames.shape[1:3]
+    seen = marks[marks[..., 2] > 0]
+    inside = (seen[:, 0] <= 1.5 * width) & (seen[:, 1] <= 1.5 * height) & (seen[:, :2] >= 0).all(1)
+    if inside.float().mean() < 0.5:
+        raise ArtifactError(
+            f"{path}: most points lie outside the frames of {footage.recorded_size} pixels; "
+            "keypoints are in pixels of the footage as recorded"
+        )
+
+
+def _poses(params: MonocularParams, footage: Footage, body: Body) -> Poses | None:
+    if params.poses is None:
+        return None
+    return read_poses(_path(params.poses, "poses"), footage.numbers, footage.total, body)
+
+
+def _no_truth(height: int, width: int) -> Reference:
+    none = torch.zeros(0, dtype=torch.long)
+    return Reference(
+        images=torch.zeros(0, height, width, 3, dtype=torch.uint8),
+        mattes=torch.zeros(0, height, width, dtype=torch.uint8),
+        seen=None,
+        camera_indices=none,
+        frame_indices=none,
+        novel_pose=none,
+        background=(0.0, 0.0, 0.0),
+        motion_times=None,
+        motion=None,
+    )

@@ -1,0 +1,44 @@
+"""Videos of a few pixels, written as phones and editors write them."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+
+WIDTH, HEIGHT, FPS = 48, 32, 25
+TICKS = 1000  # a second
+
+
+def picture(index: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """Left half red, the right half of a grey that counts frames."""
+    image = np.full((height, width, 3), 20 * index + 20, np.uint8)
+    image[:, : width // 2] = (200, 30, 30)
+    return image
+
+
+def write_video(
+    path: Path,
+    pictures: list[np.ndarray],
+    seconds: list[float] | None = None,
+    rotation: int = 0,
+    metadata: dict[str, str] | None = None,
+) -> Path:
+    """Encode without loss, each frame at its own time."""
+    seconds = seconds or [index / FPS for index in range(len(pictures))]
+    options = {"movflags": "use_metadata_tags"} if path.suffix == ".mp4" else {}
+    with av.open(str(path), "w", options=options) as container:
+        container.metadata.update(metadata or {})
+        stream = container.add_stream("libx264rgb", rate=FPS, options={"crf": "0"})
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "rgb24"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, TICKS)
+        stream.codec_context.max_b_frames = 0
+        if rotation:
+            stream.set_display_rotation(rotation)
+        for image, time in zip(pictures, seconds, strict=True):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame.pts, frame.time_base = round(time * TICKS), Fraction(1, TICKS)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path

@@ -1,0 +1,81 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.sources.given_masks import read_masks
+
+SIZE = (24, 16)
+
+
+def mask(value: int = 255, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """The right half is person."""
+    picture = np.zeros(size[::-1], np.uint8)
+    picture[:, size[0] // 2 :] = value
+    return picture
+
+
+def written(folder: Path, *pictures: Image.Image) -> Path:
+    folder.mkdir()
+    for index, picture in enumerate(pictures):
+        picture.save(folder / f"{index}.png")
+    return folder
+
+
+def palette(picture: np.ndarray) -> Image.Image:
+    coloured = Image.fromarray(picture, "P")
+    coloured.putpalette([200, 200, 200] * 20)  # the colours say nothing
+    return coloured
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        Image.fromarray(mask(1)),
+        Image.fromarray(mask(38)),
+        Image.fromarray(mask().astype(bool)),
+        Image.fromarray(mask().astype(np.uint16) * 3),
+        Image.fromarray(np.dstack([mask(0), mask(7), mask(0)])),
+        Image.fromarray(np.dstack([mask(9)] * 3 + [np.full_like(mask(), 255)])),
+        palette(mask(15)),
+        Image.fromarray(mask(255, (48, 32))),
+    ],
+    ids=["label 1", "label 38", "bits", "16 bits", "colours", "alpha", "palette", "twice the size"],
+)
+def test_what_is_not_black_is_person_whatever_the_file(tmp_path: Path, picture: Image.Image):
+    (found,) = read_masks(written(tmp_path / "m", picture), (0,), 1, SIZE)
+    assert (found.numpy() == mask()).all()
+
+
+def test_a_soft_mask_keeps_its_coverage(tmp_path: Path):
+    soft = np.tile(np.linspace(0, 255, SIZE[0]).astype(np.uint8), (SIZE[1], 1))
+    (found,) = read_masks(written(tmp_path / "m", Image.fromarray(soft)), (0,), 1, SIZE)
+    assert (found.numpy() == soft).all()
+
+
+def test_masks_are_those_of_the_frames_taken(tmp_path: Path):
+    pictures = [mask() if index == 2 else mask(0) for index in range(4)]
+    folder = written(tmp_path / "m", *map(Image.fromarray, pictures))
+    found = read_masks(folder, (0, 2), 4, SIZE)
+    assert found.flatten(1).any(1).tolist() == [False, True]
+
+
+def test_masks_that_do_not_fit_the_frames_are_refused(tmp_path: Path):
+    folder = written(tmp_path / "m", *[Image.fromarray(mask())] * 3)
+    with pytest.raises(ArtifactError, match="holds 3 masks, the footage has 4 frames"):
+        read_masks(folder, (0, 1, 2), 4, SIZE)
+    with pytest.raises(ArtifactError, match="24 x 16, of another shape than the frames"):
+        read_masks(folder, (0,), 3, (16, 24))
+    with pytest.raises(ArtifactError, match="check clip.masks"):
+        read_masks(tmp_path / "no", (0,), 1, SIZE)
+
+
+def test_black_and_damaged_masks_are_refused(tmp_path: Path):
+    with pytest.raises(ArtifactError, match="every mask is black"):
+        read_masks(written(tmp_path / "m", Image.fromarray(mask(0))), (0,), 1, SIZE)
+    (tmp_path / "n").mkdir()
+    (tmp_path / "n" / "0.png").write_bytes(b"no picture")
+    with pytest.raises(ArtifactError, match=r"0\.png is not a picture"):
+        read_masks(tmp_path / "n", (0,), 1, SIZE)
