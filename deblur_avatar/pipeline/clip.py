@@ -3,15 +3,21 @@
 import torch
 
 from deblur_avatar.artifacts import Body, Clip, Reference
-from deblur_avatar.config import MonocularParams, MultiviewParams, StudioParams
+from deblur_avatar.config import (
+    MonocularParams,
+    MultiviewParams,
+    StudioParams,
+    ZjuMocapParams,
+)
 from deblur_avatar.fitting.landmarks import PersonDetector
 from deblur_avatar.sources.monocular import load_monocular
 from deblur_avatar.sources.multiview import load_multiview
 from deblur_avatar.sources.studio.source import load_studio
+from deblur_avatar.sources.zju_mocap.source import load_zju_mocap
 
 
 def load_clip(
-    params: StudioParams | MultiviewParams | MonocularParams,
+    params: StudioParams | MultiviewParams | MonocularParams | ZjuMocapParams,
     body: Body,
     *,
     detect: PersonDetector,
@@ -21,7 +27,7 @@ def load_clip(
 
     Args:
         params: the scene's `clip` section; its class says which source.
-        body: a synthetic person's, or that of poses a user brought along.
+        body: a synthetic person's, or the one that poses brought along are of.
         detect: finds a real person's mattes, where a source needs them.
         generator: for what a source draws at random.
 
@@ -33,4 +39,6 @@ def load_clip(
         return load_studio(params, body, generator)
     if isinstance(params, MonocularParams):
         return load_monocular(params, body, lambda frames: detect(frames).mattes)
+    if isinstance(params, ZjuMocapParams):
+        return load_zju_mocap(params, body)
     return load_multiview(params, lambda frames: detect(frames).mattes)

@@ -11,9 +11,12 @@ import sys
 from pathlib import Path
 
 from deblur_avatar.config import (
-    ClipParams,
+    BodyParams,
     MonocularParams,
     MultiviewParams,
+    SceneParams,
+    SmplBodyParams,
+    ZjuMocapParams,
     check_parameters,
     expand_environment,
     load_params,
@@ -35,16 +38,28 @@ def missing_footage(params_file: Path) -> dict[str, str]:
     check_parameters(params_file)
     missing = {}
     for scene in load_params(params_file, "scenes", dict):
-        clip = load_params(params_file, f"scenes.{scene}.clip", ClipParams)
-        if isinstance(clip, MultiviewParams):
-            root = Path(expand_environment(clip.root, f"scenes.{scene}.clip.root"))
-            if not root.is_dir():
-                missing[scene] = f"no folder {root} (scenes.{scene}.clip.root)"
-        elif isinstance(clip, MonocularParams):
-            path = Path(expand_environment(clip.path, f"scenes.{scene}.clip.path"))
-            if not path.exists():
-                missing[scene] = f"no video and no folder {path} (scenes.{scene}.clip.path)"
+        params = load_params(params_file, f"scenes.{scene}", SceneParams)
+        body = load_params(params_file, f"bodies.{params.body}", BodyParams)
+        wanted = []
+        if isinstance(params.clip, MultiviewParams | ZjuMocapParams):
+            wanted.append((f"scenes.{scene}.clip.root", params.clip.root, "folder"))
+        if isinstance(params.clip, MonocularParams):
+            wanted.append((f"scenes.{scene}.clip.path", params.clip.path, "video and no folder"))
+        if isinstance(body, SmplBodyParams):
+            wanted.append((f"bodies.{params.body}.file", body.file, "SMPL file"))
+        reasons = [reason for entry in wanted if (reason := _why_missing(*entry))]
+        if reasons:
+            missing[scene] = "; ".join(reasons)
     return missing
+
+
+def _why_missing(key: str, text: str, kind: str) -> str | None:
+    try:
+        path = Path(expand_environment(text, key))
+    except ConfigError as error:
+        return str(error)
+    there = path.is_dir() if kind == "folder" else path.exists()
+    return None if there else f"no {kind} {path} ({key})"
 
 
 def targets(params_file: Path, missing: dict[str, str]) -> list[str]:

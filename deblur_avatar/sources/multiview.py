@@ -6,7 +6,6 @@ size, which leaves intrinsics right.
 """
 
 import logging
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,16 +14,22 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar.artifacts import Cameras, Clip, Reference
-from deblur_avatar.config import MultiviewParams, expand_environment
+from deblur_avatar.config import MultiviewParams
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.matting import background_plate, lift_person, trim_mattes
 from deblur_avatar.imaging.resampling import undistort
 from deblur_avatar.sources.calibration import read_calibration
+from deblur_avatar.sources.folders import footage_folder
 from deblur_avatar.sources.video_files import Video, read_video
 
 logger = logging.getLogger(__name__)
 
 SAME_SIZE = 0.02  # share by which a video may differ from its calibration (1080 against 1088)
+
+REMEDY = (
+    "the videos are (for the default: Demo_SinglePerson of github.com/perfanalytics/pose2sim). The "
+    "studio scene needs none"
+)
 
 # Soft mattes of one person in consecutive frames of one still camera.
 Segment = Callable[[UInt8[Tensor, "F H W 3"]], UInt8[Tensor, "F H W"]]
@@ -41,7 +46,7 @@ def load_multiview(params: MultiviewParams, segment: Segment) -> tuple[Clip, Ref
         ConfigError: if the root is missing or the parameters contradict each other.
         ArtifactError: if a file is missing, damaged, or does not fit its calibration.
     """
-    root = _root(params.root)
+    root = footage_folder(params.root, REMEDY)
     _check(params)
     cameras = read_calibration(root / params.calibration, len(params.videos))
     first, stop = params.frames
@@ -75,18 +80,6 @@ def load_multiview(params: MultiviewParams, segment: Segment) -> tuple[Clip, Ref
         true_blur_exposure=None,
     )
     return clip, _reference(clip, params.test_stride, segment)
-
-
-def _root(text: str) -> Path:
-    root = Path(expand_environment(text, "clip.root"))
-    if not root.is_dir():
-        variable = re.search(r"\$\{(\w+)", text)
-        remedy = f"set {variable[1]}" if variable else "set clip.root in params.yaml"
-        raise ConfigError(
-            f"clip.root: no folder {root}; {remedy} to where the videos are (for the default: "
-            "Demo_SinglePerson of github.com/perfanalytics/pose2sim). The studio scene needs none"
-        )
-    return root
 
 
 def _check(params: MultiviewParams) -> None:

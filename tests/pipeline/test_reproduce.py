@@ -48,6 +48,33 @@ def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
     assert reproduce.missing_footage(folder / "params.yaml") == {}
 
 
+def test_a_scene_of_a_data_set_lacks_its_folder_its_body_or_both(folder, tiny_content, monkeypatch):
+    tiny_content["bodies"]["smpl"] = {
+        "source": "smpl", "file": "${SMPL_MODEL}", "shape_components": 10,
+    }  # fmt: skip
+    clip = {
+        "source": "zju_mocap", "root": "${ZJU_MOCAP_ROOT}/seq", "frames": [0, None], "stride": 1,
+        "fps": 60.0, "image_height": 48, "train_camera": 0, "test_cameras": "all",
+        "test_stride": 30, "pose_cameras": [], "mask_folders": ["mask"], "mask_dilation": 0,
+        "background": "black", "poses": "new_params", "held_out": 0.0,
+    }  # fmt: skip
+    tiny_content["scenes"]["courtyard"] |= {"body": "smpl", "clip": clip}
+    with (folder / "params.yaml").open("w") as file:
+        YAML().dump(tiny_content, file)
+    for name in ("ZJU_MOCAP_ROOT", "SMPL_MODEL"):
+        monkeypatch.delenv(name, raising=False)
+    reason = reproduce.missing_footage(folder / "params.yaml")["courtyard"]
+    assert "scenes.courtyard.clip.root: set the environment variable ZJU_MOCAP_ROOT" in reason
+    assert "bodies.smpl.file: set the environment variable SMPL_MODEL" in reason
+    monkeypatch.setenv("ZJU_MOCAP_ROOT", str(folder))
+    monkeypatch.setenv("SMPL_MODEL", str(folder / "smpl.pkl"))
+    (folder / "seq").mkdir()
+    reason = f"no SMPL file {folder / 'smpl.pkl'} (bodies.smpl.file)"
+    assert reproduce.missing_footage(folder / "params.yaml") == {"courtyard": reason}
+    (folder / "smpl.pkl").touch()
+    assert reproduce.missing_footage(folder / "params.yaml") == {}
+
+
 def test_parameters_that_cannot_be_run_stop_everything_at_once(folder):
     text = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(text.replace("virtual_poses:", "virtual_pose:"))

@@ -1,0 +1,124 @@
+"""One entry in a parameter file is all that a sequence in ZJU-MoCap's layout needs."""
+
+import importlib.util
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+from ruamel.yaml import YAML
+
+from deblur_avatar.artifacts import Avatar, BlurryClip, Observations, Reference
+from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.imaging.mesh_rendering import View, cast_rays
+from tests.zju_sequence import SHAPES, write_sequence
+
+STAGES = Path(__file__).parents[2] / "stages"
+
+
+def run_stage(stage, **arguments):
+    """What `python stages/<stage>.py` does, in this process."""
+    spec = importlib.util.spec_from_file_location(stage, STAGES / f"{stage}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.main(**arguments)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, tiny_parameters):
+    """The parameters with one scene more, and what the stages up to `preprocess` made of it."""
+    folder = tmp_path_factory.mktemp("zju_scene")
+    sequence = write_sequence(folder, 9)
+    scene = {
+        "body": "smpl",
+        "clip": {
+            "source": "zju_mocap", "root": str(sequence.root), "frames": [0, None], "stride": 1,
+            "fps": 60.0, "image_height": 128, "train_camera": 0, "test_cameras": [2, 5],
+            "test_stride": 3, "pose_cameras": [], "mask_folders": ["mask", "mask_cihp"],
+            "mask_dilation": 0, "background": "black", "poses": "new_params", "held_out": 0.0,
+        },
+        "blur": {"frames": "interpolated", "factor": 8, "window": 9, "light": "srgb"},
+        "preprocess": {
+            "poses": "given", "masks": "given", "background": "none", "margin": 0.1,
+            "validation_stride": 10,
+        },
+    }  # fmt: skip
+    smpl = {"source": "smpl", "file": str(sequence.smpl_file), "shape_components": SHAPES}
+    run = {"scene": "zju", "observations": "blurred", "start": "lean", "method": "lean"}
+    content = {
+        **tiny_parameters,
+        "schedules": {"tiny": {**tiny_parameters["schedules"]["tiny"], "image_height": 128}},
+        "bodies": {"smpl": smpl},
+        "scenes": {"zju": scene},
+        "runs": {"zju-lean": run},
+    }
+    params_file = folder / "params.yaml"
+    with params_file.open("w") as file:
+        YAML().dump(content, file)
+    shared = {"scene": "zju", "params_file": params_file}
+    run_stage("body", name="smpl", out=folder / "body", params_file=params_file)
+    run_stage("clip", body=folder / "body", out=folder / "clip", **shared)
+    run_stage(
+        "blur", clip=folder / "clip", out=folder / "blur", metrics=folder / "blur.json", **shared
+    )
+    run_stage(
+        "preprocess", blur=folder / "blur", body=folder / "body", out=folder / "seen",
+        metrics=folder / "seen.json", **shared,
+    )  # fmt: skip
+    return folder
+
+
+def test_frames_are_blurred_with_their_masks(folder):
+    blurry = BlurryClip.load(folder / "blur")
+    assert blurry.frame_indices == tuple(range(1, 8))
+    soft = (blurry.mattes > 0) & (blurry.mattes < 255)
+    assert soft.any()
+    assert blurry.exposure == pytest.approx(9 / 8 / 60)
+
+
+def test_the_body_fills_what_fitting_sees(folder):
+    for name in ("blurred", "sharp"):
+        seen = Observations.load(folder / "seen" / name)
+        poses = seen.poses
+        posed = posed_vertices(
+            seen.body, poses.betas, poses.global_orient, poses.body_pose, poses.transl
+        )
+        assert not seen.cameras.distortion.any()
+        view = View.of(seen.cameras, seen.train_camera, samples_per_axis=4)
+        for points, matte in zip(posed.double().numpy(), seen.mattes, strict=True):
+            rays = view.directions.reshape(-1, 3)
+            met = cast_rays(points, seen.body.faces.numpy(), view.centre, rays).triangle >= 0
+            grid = torch.from_numpy(met.reshape(view.height, 4, view.width, 4))
+            drawn = grid.float().mean((1, 3)) > 0.5
+            filled = matte > 127
+            assert (drawn & filled).sum() / (drawn | filled).sum() > (
+                0.95 if name == "sharp" else 0.9
+            )
+
+
+def test_the_whole_pipeline_runs_to_metrics(folder):
+    params_file, seen = folder / "params.yaml", folder / "seen/blurred"
+    steps = {"start": "lean", "observations": seen, "params_file": params_file}
+    costs = folder / "metrics"
+    run_stage(
+        "warmup", out=folder / "warmup", metrics=costs / "warmup/zju-blurred-lean.json", **steps
+    )
+    run_stage(
+        "trajectory", method="lean", warmup=folder / "warmup", out=folder / "trajectory",
+        metrics=costs / "trajectory/zju-lean.json", **steps,
+    )  # fmt: skip
+    run_stage(
+        "fusion", method="lean", trajectory=folder / "trajectory", out=folder / "fusion",
+        metrics=costs / "fusion/zju-lean.json", **steps,
+    )  # fmt: skip
+    run_stage(
+        "evaluate", scene="zju", method="lean", observations=seen,
+        reference=folder / "clip/reference", fusion=folder / "fusion", costs=costs,
+        out=folder / "evaluate", metrics=costs / "zju/lean.json", params_file=params_file,
+    )  # fmt: skip
+    assert len(Avatar.load(folder / "fusion/avatar").means)
+    reference = Reference.load(folder / "clip/reference")
+    assert reference.frame_indices.tolist() == [0, 3, 6] * 2
+    metrics = json.loads((costs / "zju/lean.json").read_text())
+    assert math.isfinite(metrics["image"]["psnr"])
