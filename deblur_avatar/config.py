@@ -243,7 +243,8 @@ class LossParams(Params):
     isotropy_means: NonNegative  # neighbours keep their distances
     isotropy_covars: NonNegative
     even_colors: NonNegative  # neighbours' raw colours are alike
-    even_shapes: NonNegative  # and so are their raw scales and opacities
+    even_shapes: NonNegative  # their raw scales and opacities
+    even_heights: NonNegative  # and how far they stand off the body
     anchor: NonNegative  # clip motion: knots stay near the first estimate
     bending: NonNegative  # clip motion: knots hardly accelerate
     shutter: NonNegative  # clip motion: an estimated shutter stays near the first guess

@@ -22,6 +22,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import losses
 from deblur_avatar.fitting.densify import Densifier
 from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.fitting.surface_height import Feet, feet_of
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
 logger = logging.getLogger(__name__)
@@ -36,6 +37,7 @@ PRETRAIN_SAMPLES = 4096
 PRETRAIN_RATE = 2e-3
 BOX_MARGIN = 8  # pixels around the person in which structure is compared
 ADAM_EPSILON = 1e-15  # 3DGS: gradients of means are tiny
+HEIGHT = 0.01  # metres off the body that weigh like a unit of a raw colour
 POSE_NOISE_SHARE = 0.5  # of the steps have noise on the conditioning pose (3DGS-Avatar)
 
 
@@ -82,6 +84,7 @@ class AvatarFit:
             raise ArtifactError("no training frame shows a person; check masks and weights")
         self._queue: list[int] = []
         self._neighbours: Tensor | None = None
+        self._feet: Feet | None = None
         self._gaussian_optimiser = _gaussian_optimiser(model, params)
         self._network_optimiser = _network_optimiser(model, trajectory, fusion, params)
         self._network_rates = [group["lr"] for group in self._network_optimiser.param_groups]
@@ -254,16 +257,23 @@ class AvatarFit:
         return terms
 
     def _evenness(self) -> dict[str, Tensor]:
+        """Gaussians are like their neighbours in colour, shape and height."""
         weights, gaussians = self._params.losses, self.model.gaussians
-        terms = {}
-        if weights.even_colors > 0:
-            terms["even_colors"] = weights.even_colors * losses.unevenness(
-                gaussians.features, self._near()
-            )
-        if weights.even_shapes > 0:
-            shapes = torch.cat([gaussians.log_scales, gaussians.opacity_logits[:, None]], dim=1)
-            terms["even_shapes"] = weights.even_shapes * losses.unevenness(shapes, self._near())
-        return terms
+        if weights.even_colors == weights.even_shapes == weights.even_heights == 0:
+            return {}
+        if self._feet is None:
+            faces = self.model.body.faces.to(self._device)
+            self._feet = feet_of(gaussians.means, self.model.canonical_vertices, faces)
+        shapes = torch.cat([gaussians.log_scales, gaussians.opacity_logits[:, None]], dim=1)
+        values = {
+            "even_colors": gaussians.features,
+            "even_shapes": shapes,
+            "even_heights": self._feet.heights(gaussians.means)[:, None] / HEIGHT,
+        }
+        return {
+            name: getattr(weights, name) * losses.unevenness(value, self._near())
+            for name, value in values.items()
+        }
 
     def _priors(self) -> dict[str, Tensor]:
         weights = self._params.losses.model_dump()
@@ -327,7 +337,7 @@ class AvatarFit:
 
     def _look_up_again(self) -> None:
         """Forget who is next to whom and where on the body, because Gaussians have moved."""
-        self._neighbours = None
+        self._neighbours, self._feet = None, None
         self.model.look_up_again()
 
     def _schedule_rates(self, iteration: int) -> None:

@@ -78,12 +78,12 @@ def isotropy_of_covars(
 
 
 def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Float[Tensor, ""]:
-    """Mean squared difference between a Gaussian's values and its neighbours'.
+    """Mean absolute difference between a Gaussian's values and its neighbours'.
 
     Where the camera sees a Gaussian the picture outweighs this; where it does not, values become
-    those of the nearest that it does see.
+    those of the nearest that it does see. Absolute, so that an edge costs no more than a slope.
     """
-    return (values[neighbours] - values[:, None]).square().mean()
+    return (values[neighbours] - values[:, None]).abs().mean()
 
 
 def _spacings(values: Tensor, neighbours: Tensor) -> Tensor:

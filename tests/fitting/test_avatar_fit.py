@@ -19,6 +19,10 @@ CPU = torch.device("cpu")
 PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
 
 
+def seeded(seed):
+    return torch.Generator().manual_seed(seed)
+
+
 def quiet(iteration, terms):
     pass
 
@@ -518,3 +522,31 @@ def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without
         assert abs(found) == pytest.approx(truth, rel=0.1)
     else:
         assert abs(found) < 0.4 * truth  # still near the saddle
+
+
+def test_what_no_picture_shows_takes_after_its_neighbours(begin, start):
+    def unlike_at_the_back(weight: float) -> float:
+        params = changed(
+            start, "losses", even_colors=weight, isotropy_means=0.0, isotropy_covars=0.0
+        )
+        params = without_densification(params.model_copy(update={"model": PLAIN}))
+        fit = begin(params=changed(params, "optimiser", gaussians_start=0, features=0.1), last=60)
+        features = fit.model.gaussians.features
+        with torch.no_grad():
+            features.copy_(torch.randn(features.shape, generator=seeded(4)))
+        fit.run(1, 60, "sharp", "mean", quiet)
+        apart = features[fit._near()] - features[:, None]
+        hidden = fit.model.gaussians.means[:, 2] < 0
+        return float(apart[hidden].abs().mean().detach())
+
+    assert unlike_at_the_back(0.05) < 0.7 * unlike_at_the_back(0.0)
+
+
+def test_terms_of_evenness_and_of_the_motion_are_weighted_and_named(begin, start):
+    params = changed(start, "losses", even_heights=0.3, even_shapes=0.2, even_colors=0.1)
+    terms = begin(params=params).step(1, "sharp", "mean")
+    assert {"even_colors", "even_shapes", "even_heights"} <= terms.keys()
+    doubled = changed(params, "losses", even_heights=0.6)
+    again = begin(params=doubled).step(1, "sharp", "mean")
+    assert again["even_heights"] == pytest.approx(2 * terms["even_heights"], rel=1e-5)
+    assert again["even_shapes"] == pytest.approx(terms["even_shapes"], rel=1e-5)

@@ -140,3 +140,20 @@ def test_gaussians_that_part_are_held_back():
     loss.backward()
     assert loss.item() == pytest.approx(0.3)
     torch.testing.assert_close(posed.grad, torch.tensor([[0.0, -1, 0], [0, 1, 0]]).double())
+
+
+def test_what_is_the_same_everywhere_is_even_and_an_edge_costs_no_more_than_a_slope():
+    row = torch.arange(10)
+    near = torch.stack([(row - 1).clamp(min=0), (row + 1).clamp(max=9)], 1)
+    flat, slope = torch.full((10, 1), 3.0), torch.linspace(0, 1, 10)[:, None]
+    edge = (row > 4).float()[:, None]
+    assert losses.unevenness(flat, near) == 0
+    # Ten differences of a ninth, or one of 1, each met from both sides, among 20.
+    assert losses.unevenness(slope, near).item() == pytest.approx(2 / 20)
+    assert losses.unevenness(edge, near).item() == pytest.approx(2 / 20)
+
+
+def test_unevenness_has_gradients_in_both_directions():
+    points, near = cloud()
+    values = points.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda v: losses.unevenness(v, near), values)
