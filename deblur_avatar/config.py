@@ -176,7 +176,8 @@ class PreprocessParams(Params):
 
     poses: Literal["given", "estimated"]
     masks: Literal["given", "estimated"]
-    background: Literal["none", "median"]  # what is taken away behind a soft matte
+    background: Literal["none", "median", "auto"]  # taken away behind a soft matte; auto: median
+    # where the camera stands still
     margin: NonNegative  # of the crop, as a share of the person's box
     validation_stride: Annotated[int, Field(ge=2)]  # every so-manieth frame is set aside
 

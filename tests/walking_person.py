@@ -54,7 +54,7 @@ def ring_of_cameras(count: int = 4) -> Cameras:
 
 
 def detect_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) -> Landmarks:
-    """Landmarks where the body has them, mattes as its mesh fills them."""
+    """Landmarks where the body has them, in space too; mattes as its mesh fills them."""
     motion = poses.betas, poses.global_orient, poses.body_pose, poses.transl
     marks = landmark_map()
     joints = shaped_joints(body, poses.betas)
@@ -64,6 +64,10 @@ def detect_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) ->
     points, visibility = torch.zeros(frames, COUNT, 2), torch.zeros(frames, COUNT)
     points[:, list(marks.rows)] = project(positions, *lens)[0]
     visibility[:, list(marks.rows)] = 1.0
+    world = torch.zeros(frames, COUNT, 3)
+    in_camera = positions @ cameras.viewmats[camera][:3, :3].T
+    hips = [marks.rows.index(mark) for mark in (23, 24)]
+    world[:, list(marks.rows)] = in_camera - in_camera[:, hips].mean(1, keepdim=True)
     view, faces = View.of(cameras, camera, samples_per_axis=1), body.faces.numpy()
     rays = view.directions.reshape(-1, 3)
     mattes = [
@@ -75,4 +79,5 @@ def detect_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) ->
         points=points,
         visibility=visibility,
         mattes=torch.from_numpy(np.stack(mattes).astype(np.uint8) * 255),
+        world=world,
     )

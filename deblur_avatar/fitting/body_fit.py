@@ -1,8 +1,9 @@
-"""One shape, and one pose a frame, from what several cameras see of a person.
+"""One shape, and one pose a frame, from what one or several cameras see of a person.
 
-Triangulated landmarks bring the body near; their projections and the mattes' outlines then refine
-it. Motion is a spline over the clip, solved for all frames at once. Terms are squared distances in
-standard deviations; those of pictures saturate, since detectors are not noisy but wrong.
+Landmarks in space, triangulated or (one view) lifted, bring the body near; their projections and
+the mattes' outlines then refine it. Motion is a spline over the clip, solved for all frames at
+once. Terms are squared distances in standard deviations; those of pictures saturate, since
+detectors are not noisy but wrong.
 """
 
 import logging
@@ -11,15 +12,16 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int64
-from scipy.interpolate import BSpline
 from torch import Tensor
 
 from deblur_avatar import run
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body, Cameras, Poses
 from deblur_avatar.avatar.body import shaped_joints
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.fitting.body_landmarks import TORSO, LandmarkMap, landmark_map
+from deblur_avatar.fitting.body_landmarks import LandmarkMap, landmark_map
+from deblur_avatar.fitting.first_guess import first_guess, spline_basis
 from deblur_avatar.fitting.landmarks import Landmarks
+from deblur_avatar.fitting.one_view import OneView, guess_cost, see_with_one_eye, standing_cost
 from deblur_avatar.fitting.pose_limits import PoseLimits, pose_limits
 from deblur_avatar.fitting.silhouettes import (
     Silhouettes,
@@ -50,6 +52,7 @@ OUTLINE_WEIGHT = 40.0  # landmarks that one matte counts as
 SURFACE_POINTS = 1200
 COARSE_STEPS = 150
 FINE_STEPS = 200
+OUTLINED_FRAMES = 64  # of one view that a step compares with their mattes
 MATCH_EVERY = 25  # steps between two searches for outline points' partners
 RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004}
 
@@ -60,6 +63,8 @@ class BodyFit(NamedTuple):
     poses: Poses
     residuals: Float[Tensor, "V F L"]  # pixels, of used landmarks; 0 where not seen
     extent: float  # the person's median height in the pictures, pixels
+    trust: Float[Tensor, " F"]  # in [0, 1], how far a frame's pose rests on what was seen
+    flags: dict[str, int]  # landmarks found wrong, by kind; of one view alone
 
 
 class _Unknowns(NamedTuple):
@@ -105,6 +110,7 @@ class _Problem:
     pixels: Float[Tensor, "V F L 2"]
     confidences: Float[Tensor, "V F L"]
     found: Triangulated
+    one: OneView | None
     outlines: Silhouettes
     orient: Float[Tensor, "F 3 3"]  # first guess
     basis: Float[Tensor, "F D"]  # frames from control values
@@ -129,27 +135,33 @@ def fit_body(
         timestamps: of the frames, seconds.
 
     Raises:
-        ArtifactError: for fewer than two cameras, or if no frame shows a person in two of them.
+        ArtifactError: if no frame shows a person, or no two of several cameras agree on her.
     """
     if body.joint_names != SMPL_JOINT_NAMES:
         raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
-    if len(recorded) < 2:
-        raise ArtifactError("poses are estimated from two or more cameras; give poses instead")
     if not any(bool(person.found.any()) for person in people):
         raise ArtifactError("no person found in any frame; check the videos")
     marks = landmark_map()
     rows, chosen = list(marks.rows), list(recorded)
+    interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
+    basis = spline_basis(timestamps, interval, KNOT_SECONDS)
+    extent, one = _extent(people), None
+    if len(recorded) == 1:
+        person, one = see_with_one_eye(
+            body, marks, people[0], cameras, recorded[0], basis, extent, interval
+        )
+        people = [person]
     pixels = torch.stack([person.points[:, rows] for person in people])
     confidences = torch.stack(
         [person.visibility[:, rows] * person.found[:, None] for person in people]
     )
-    extent = _extent(people)
     lenses = cameras.Ks[chosen], cameras.viewmats[chosen]
-    found = triangulate(pixels, confidences, *lenses, OUTLIER_SHARE * extent)
-    _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
-    interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
-    basis = _spline_basis(len(timestamps), max(1, round(KNOT_SECONDS / interval)))
-    orient, transl = _first_guess(body, marks, found, basis)
+    if one is None:
+        found = triangulate(pixels, confidences, *lenses, OUTLIER_SHARE * extent)
+        _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
+    else:
+        found = one.found
+    orient, transl = first_guess(body, marks, found, basis)
     problem = _Problem(
         body=body,
         surface=_spread_points(body),
@@ -160,6 +172,7 @@ def fit_body(
         pixels=pixels,
         confidences=confidences,
         found=found,
+        one=one,
         outlines=silhouettes([person.mattes for person in people]),
         orient=orient,
         basis=basis,
@@ -176,7 +189,14 @@ def fit_body(
     )
     projected = [project(posed.landmarks, *camera)[0] for camera in zip(*lenses, strict=True)]
     residuals = (torch.stack(projected) - pixels).norm(dim=-1)
-    return BodyFit(poses, residuals * (confidences > 0), extent)
+    seen = torch.stack([person.found for person in people]).any(0).float()
+    return BodyFit(
+        poses=poses,
+        residuals=residuals * (confidences > 0),
+        extent=extent,
+        trust=seen if one is None else one.trust,
+        flags={} if one is None else one.flags,
+    )
 
 
 def _extent(people: list[Landmarks]) -> float:
@@ -202,50 +222,6 @@ def _check_agreement(
                 name,
                 100 * share,
             )
-
-
-def _first_guess(
-    body: Body, marks: LandmarkMap, found: Triangulated, basis: Float[Tensor, "F D"]
-) -> tuple[Float[Tensor, "F 3 3"], Float[Tensor, "D 3"]]:
-    """Smooth turn of the torso, and control values of its place.
-
-    In each frame they are the rigid motion that best fits four landmarks.
-
-    Source: Umeyama, "Least-squares estimation of transformation parameters", 1991, without scale.
-    """
-    rows = [marks.rows.index(landmark) for landmark, _ in TORSO]
-    rest = body.joints[[SMPL_JOINT_NAMES.index(name) for _, name in TORSO]]
-    whole = torch.nonzero(found.found[:, rows].all(1)).flatten()
-    if not len(whole):
-        raise ArtifactError("no frame shows shoulders and hips to two cameras; check the videos")
-    # A frame without a torso takes over its nearest neighbour's.
-    frames = torch.arange(len(found.points))
-    nearest = whole[(frames[:, None] - whole).abs().argmin(1)]
-    seen = found.points[nearest][:, rows]
-    middle, rest_middle = seen.mean(1, keepdim=True), rest.mean(0)
-    matrices = (seen - middle).transpose(1, 2) @ (rest - rest_middle)
-    smoother = basis @ torch.linalg.pinv(basis)
-    orient = torch.einsum("fg,gij->fij", smoother, _nearest_rotation(matrices))
-    orient = _nearest_rotation(orient)
-    # The pelvis stays at `joints[0]` when the body turns.
-    pivot = body.joints[0]
-    transl = middle[:, 0] - (orient @ (rest_middle - pivot)) - pivot
-    return orient, torch.linalg.pinv(basis) @ transl
-
-
-def _nearest_rotation(matrices: Float[Tensor, "F 3 3"]) -> Float[Tensor, "F 3 3"]:
-    left, _, right = torch.linalg.svd(matrices)
-    mirror = torch.linalg.det(left @ right)
-    return torch.cat([left[..., :2], left[..., 2:] * mirror[:, None, None]], dim=-1) @ right
-
-
-def _spline_basis(count: int, spacing: int) -> Float[Tensor, "F D"]:
-    """What each control value of a uniform cubic B-spline adds to each of `count` frames."""
-    last = -(-(count - 1) // spacing)  # intervals between knots
-    knots = torch.arange(-3, last + 4, dtype=torch.float64).numpy()
-    places = torch.arange(count, dtype=torch.float64).numpy() / spacing
-    dense = BSpline.design_matrix(places, knots, 3).toarray()
-    return torch.from_numpy(dense).float()
 
 
 def _spread_points(body: Body) -> _Surface:
@@ -281,11 +257,11 @@ def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
 
 
 def _posed_surface(
-    problem: _Problem, betas: Float[Tensor, " B"], posed: _Posed
-) -> Float[Tensor, "F P 3"]:
+    problem: _Problem, betas: Float[Tensor, " B"], posed: _Posed, frames: slice
+) -> Float[Tensor, "E P 3"]:
     surface = problem.surface
     points = surface.points + surface.shape_dirs @ betas
-    return skin_points(points, surface.lbs_weights, posed.transforms)
+    return skin_points(points, surface.lbs_weights, posed.transforms[frames])
 
 
 def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
@@ -303,16 +279,25 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
     steps = COARSE_STEPS + FINE_STEPS
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     partners: list[Int64[Tensor, "F Q"]] = []
+    # Outlines cost most; of a long clip each step looks at some of the frames.
+    stride = 1 if problem.one is None else -(-len(problem.basis) // OUTLINED_FRAMES)
     for step in run.progress(range(steps), "body fit"):
         posed = _pose(problem, unknowns)
         loss = _priors(problem, unknowns, posed)
+        if problem.one is not None:
+            loss = loss + guess_cost(problem.one, problem.marks, posed.landmarks)
+            loss = loss + standing_cost(problem.one, posed.landmarks, problem.interval)
         if step < COARSE_STEPS:
             loss = loss + _landmarks_in_space(problem, posed)
         else:
-            surface = _posed_surface(problem, unknowns.betas, posed)
             if (step - COARSE_STEPS) % MATCH_EVERY == 0:
+                with torch.no_grad():
+                    surface = _posed_surface(problem, unknowns.betas, posed, slice(None))
                 partners = _partners(problem, surface)
-            loss = loss + _pictures(problem, posed, surface, partners)
+            frames = slice(step % stride, None, stride)
+            surface = _posed_surface(problem, unknowns.betas, posed, frames)
+            loss = loss + _landmarks_in_pictures(problem, posed)
+            loss = loss + stride * _outlines(problem, surface, partners, frames)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -333,30 +318,34 @@ def _landmarks_in_space(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
     return (trust * 2 * ((1 + squared).sqrt() - 1)).sum()
 
 
-def _pictures(
-    problem: _Problem,
-    posed: _Posed,
-    points: Float[Tensor, "F P 3"],
-    partners: list[Int64[Tensor, "F Q"]],
-) -> Float[Tensor, ""]:
-    """Landmarks, and outlines both ways, in every view."""
+def _landmarks_in_pictures(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
+    """Landmarks in every view."""
     total = posed.joints.new_zeros(())
-    outlines = problem.outlines
-    for view in range(len(problem.Ks)):
-        camera = problem.Ks[view], problem.viewmats[view]
+    for view, camera in enumerate(zip(problem.Ks, problem.viewmats, strict=True)):
         marks, _ = project(posed.landmarks, *camera)
         squared = (marks - problem.pixels[view]).square().sum(-1)
         squared = squared / (LANDMARK_SHARE * problem.extent) ** 2
         total = total + (problem.confidences[view] * _saturating(squared)).sum()
+    return total
 
+
+def _outlines(
+    problem: _Problem,
+    points: Float[Tensor, "E P 3"],
+    partners: list[Int64[Tensor, "F Q"]],
+    frames: slice,
+) -> Float[Tensor, ""]:
+    """Outlines both ways, in every view, of some frames."""
+    total = points.new_zeros(())
+    outlines, spread = problem.outlines, OUTLINE_SHARE * problem.extent
+    for view, camera in enumerate(zip(problem.Ks, problem.viewmats, strict=True)):
         surface, _ = project(points, *camera)
-        spread = OUTLINE_SHARE * problem.extent
-        outside = distance_outside(outlines.outside[view], surface) / spread
-        partner = partners[view][..., None].expand(-1, -1, 2)
-        gap = outlines.outline[view] - surface.gather(1, partner)
-        along = (gap * outlines.normals[view]).sum(-1) / spread
+        outside = distance_outside(outlines.outside[view, frames], surface) / spread
+        partner = partners[view][frames, :, None].expand(-1, -1, 2)
+        gap = outlines.outline[view, frames] - surface.gather(1, partner)
+        along = (gap * outlines.normals[view, frames]).sum(-1) / spread
         both = _saturating(outside.square()).mean(1) + _saturating(along.square()).mean(1)
-        total = total + OUTLINE_WEIGHT * (both * outlines.shown[view]).sum()
+        total = total + OUTLINE_WEIGHT * (both * outlines.shown[view, frames]).sum()
     return total
 
 

@@ -33,6 +33,7 @@ class Landmarks:
     points: Float[Tensor, "F L 2"]  # pixels
     visibility: Float[Tensor, "F L"]  # in [0, 1], how sure the detector is
     mattes: UInt8[Tensor, "F H W"]  # coverage
+    world: Float[Tensor, "F L 3"] | None = None  # a guess: metres about the hips, the camera's axes
 
 
 # Finds one person in consecutive frames of one still camera.
@@ -48,6 +49,7 @@ def detect_with_mediapipe(frames: UInt8[Tensor, "F H W 3"]) -> Landmarks:
     count, height, width = frames.shape[:3]
     found = torch.zeros(count, dtype=torch.bool)
     points, visibility = torch.zeros(count, COUNT, 2), torch.zeros(count, COUNT)
+    world = torch.zeros(count, COUNT, 3)
     mattes = torch.zeros(count, height, width, dtype=torch.uint8)
     with _quiet_stderr():
         from mediapipe.python.solutions.pose import Pose  # takes a second, so only when asked
@@ -68,9 +70,12 @@ def detect_with_mediapipe(frames: UInt8[Tensor, "F H W 3"]) -> Landmarks:
             found[index] = True
             points[index] = torch.tensor([(mark.x * width, mark.y * height) for mark in marks])
             visibility[index] = torch.tensor([mark.visibility for mark in marks])
+            if result.pose_world_landmarks is not None:
+                guess = result.pose_world_landmarks.landmark
+                world[index] = torch.tensor([(mark.x, mark.y, mark.z) for mark in guess])
             mask = torch.from_numpy(result.segmentation_mask.copy())
             mattes[index] = (mask * 255).round().clamp(0, 255).to(torch.uint8)
-    return Landmarks(found, points, visibility, mattes)
+    return Landmarks(found, points, visibility, mattes, world)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+STILL = 0.01  # of the picture's width, that the background of a still camera may move
 CORNERS = 300  # features followed from one sampled frame to the next
 SAMPLES = 12  # frames
 FEWEST = 12  # features that must be followed for their motion to mean something

@@ -21,7 +21,10 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting.body_fit import fit_body
 from deblur_avatar.fitting.fit_quality import measure_fit
 from deblur_avatar.fitting.landmarks import Landmarks, PersonDetector
+from deblur_avatar.fitting.person_choice import detect_main_person
+from deblur_avatar.fitting.track_smoothness import measure_track
 from deblur_avatar.geometry.cameras import project
+from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.imaging.exposure import Light, frames_before
 from deblur_avatar.imaging.matting import background_plate, lift_person, trim_mattes
 from deblur_avatar.imaging.resampling import (
@@ -84,16 +87,21 @@ def preprocess(
     row = clip.recorded.index(clip.train_camera)
     people: list[Landmarks] = []
     if "estimated" in (params.masks, params.poses):
-        people = [_person(frames, params, detect) for frames in clip.frames]
+        people = _people(clip, params, detect)
+        params = _with_background(params, clip.frames[row], people[row])
+        people = [_trimmed(f, p, params) for f, p in zip(clip.frames, people, strict=True)]
     mattes, sharp_mattes = _mattes(clip, row, params, people, detect)
     shown = _frames_with_person(mattes, sharp_mattes)
     fit: dict[str, Any] = {}
+    found_wrong: dict[str, int] = {}
+    weights = shown.float()
     if params.poses == "given":
         poses = _checked(clip.initial, "initial", body)
     else:
         fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
         poses, stacks = fitted.poses, [person.mattes for person in people]
         fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
+        found_wrong, weights = fitted.flags, weights * fitted.trust
 
     crops, cameras = _crops(clip.cameras, body, poses, params.margin, image_height)
     crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
@@ -114,7 +122,7 @@ def preprocess(
         train_camera=clip.train_camera,
         body=body,
         poses=poses,
-        weights=shown.float(),
+        weights=weights,
         frame_indices=clip.frame_indices,
         timestamps=clip.timestamps,
         exposure=clip.exposure,
@@ -128,6 +136,16 @@ def preprocess(
         sharp = replace(blurred, frames=frames, mattes=cut_mattes, exposure=0.0)
         if clip.exact is not None:
             exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
+    track = measure_track(body, poses, clip.timestamps)
+    if track:
+        logger.info(
+            "fastest joint %.1f m/s; the step that stands out most is %.2f times those around it "
+            "(%s, frame %d)",
+            track["fastest_m_s"],
+            track["speed_ratio"],
+            track["joint"],
+            track["step"],
+        )
     metrics = {
         "frames": {
             "total": len(shown),
@@ -136,6 +154,8 @@ def preprocess(
             "validation": len(validation),
         },
         "fit": fit,
+        "landmarks_found_wrong": found_wrong,
+        "track": track,
     }
     return Preprocessed(blurred=blurred, sharp=sharp, exact=exact, metrics=metrics)
 
@@ -166,12 +186,39 @@ def _straightened(clip: BlurryClip) -> BlurryClip:
     )
 
 
-def _person(
-    frames: UInt8[Tensor, "F H W 3"], params: PreprocessParams, detect: PersonDetector
+def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) -> list[Landmarks]:
+    """Whom a detector finds in each camera's frames, and what the user found instead."""
+    if len(clip.recorded) > 1 or params.poses == "given":
+        return [detect(frames) for frames in clip.frames]
+    person, count = detect_main_person(clip.frames[0], detect)
+    logger.info("%d person found in %d frames", count, int(person.found.sum()))
+    if clip.landmarks is not None:
+        points, visibility = clip.landmarks[0, ..., :2], clip.landmarks[0, ..., 2]
+        world = None if person.world is None else person.world * person.found[:, None, None]
+        found = (visibility > 0).any(1)
+        person = replace(person, found=found, points=points, visibility=visibility, world=world)
+    if params.masks == "given" and clip.mattes is not None:
+        person = replace(person, mattes=clip.mattes[0])
+    return [person]
+
+
+def _with_background(
+    params: PreprocessParams, frames: UInt8[Tensor, "F H W 3"], person: Landmarks
+) -> PreprocessParams:
+    """Decide what `auto` is for this camera."""
+    if params.background != "auto":
+        return params
+    travel = background_travel(frames, person.mattes)
+    still = travel is not None and travel < STILL
+    logger.info("the camera %s", "stands still" if still else "moves, or shows too little to tell")
+    return params.model_copy(update={"background": "median" if still else "none"})
+
+
+def _trimmed(
+    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, params: PreprocessParams
 ) -> Landmarks:
-    """Whom a detector finds, the mattes trimmed where the background is known."""
-    person = detect(frames)
-    if params.background == "none":
+    """The person, the mattes trimmed where the background is known."""
+    if params.background != "median":
         return person
     plate = background_plate(frames, person.mattes)
     return replace(person, mattes=trim_mattes(frames, person.mattes, plate))
@@ -191,7 +238,8 @@ def _mattes(
         return clip.mattes[row], clip.sharp_mattes
     if clip.sharp_frames is None:
         return people[row].mattes, None
-    return people[row].mattes, _person(clip.sharp_frames, params, detect).mattes
+    sharp = _trimmed(clip.sharp_frames, detect(clip.sharp_frames), params)
+    return people[row].mattes, sharp.mattes
 
 
 def _checked(poses: Poses | None, name: str, body: Body) -> Poses:

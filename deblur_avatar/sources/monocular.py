@@ -16,7 +16,7 @@ from torch import Tensor
 from deblur_avatar.artifacts import Body, Cameras, Clip, Poses, Reference
 from deblur_avatar.config import MonocularParams, expand_environment
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.camera_motion import background_travel
+from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.sources.focal_length import focal_of_files, focal_of_view
 from deblur_avatar.sources.footage import Footage, read_footage
 from deblur_avatar.sources.given_masks import read_masks
@@ -25,8 +25,6 @@ from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
 from deblur_avatar.sources.self_calibration import calibrate_focal
 
 logger = logging.getLogger(__name__)
-
-STILL = 0.01  # of the picture's width, that the background of a still camera may move
 
 # Soft mattes of one person in consecutive frames of one camera.
 Segment = Callable[[UInt8[Tensor, "F H W 3"]], UInt8[Tensor, "F H W"]]

@@ -10,7 +10,13 @@ CAMERAS, RECORDED = ring_of_cameras(3), (0, 2)
 
 
 def perfect_fit(body: Body, residual: float = 0.5) -> BodyFit:
-    return BodyFit(walking_poses(body, 7), torch.full((2, 7, 21), residual), extent=80.0)
+    return BodyFit(
+        walking_poses(body, 7),
+        torch.full((2, 7, 21), residual),
+        extent=80.0,
+        trust=torch.ones(7),
+        flags={},
+    )
 
 
 def mattes(body: Body) -> list[torch.Tensor]:

@@ -253,3 +253,60 @@ def test_masks_and_poses_are_estimated_where_they_are_not_given(
     outside = made.blurred.mattes == 0
     assert made.blurred.frames[outside].max() == 0
     assert (made.blurred.frames[made.blurred.mattes == 255] == torch.tensor(PERSON)).all()
+
+
+def of_one_camera(clip: BlurryClip, **changes: Any) -> BlurryClip:
+    """What a user's own video gives: one camera, blurred, nothing known."""
+    row = RECORDED.index(TRAIN)
+    nothing = {"sharp_frames": None, "sharp_mattes": None, "initial": None, "exact": None}
+    own = {"frames": clip.frames[row : row + 1], "mattes": None, "recorded": (TRAIN,)}
+    return dataclasses.replace(clip, **{**own, **nothing, **changes})
+
+
+class OneCamera:
+    """Finds the person of the training camera, until she is hidden."""
+
+    def __init__(self, person: Landmarks) -> None:
+        self.person = person
+
+    def __call__(self, frames: torch.Tensor) -> Landmarks:
+        if (frames[0] == torch.tensor(PERSON, dtype=torch.uint8)).all(-1).any():
+            return self.person
+        none = torch.zeros(len(frames), dtype=torch.bool)
+        first = slice(0, len(frames))
+        points, seen = self.person.points[first], self.person.visibility[first]
+        return Landmarks(none, 0 * points, 0 * seen, torch.zeros_like(self.person.mattes[first]))
+
+
+def test_one_view_is_enough_and_says_how_its_track_moves(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 60)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 20)
+    visibility = people[TRAIN].visibility.clone()
+    visibility[4] *= 0.2
+    person = dataclasses.replace(people[TRAIN], visibility=visibility)
+    made = run(
+        of_one_camera(clip), body, OneCamera(person), poses="estimated", masks="estimated",
+        background="auto",
+    )  # fmt: skip
+    assert made.sharp is None
+    assert made.blurred.weights.argmin() == 4
+    assert made.blurred.weights[[0, 1, 2, 3, 5, 6, 7, 8]].min() == 1
+    assert made.metrics["landmarks_found_wrong"]["lost"] > 20
+    assert made.metrics["track"]["speed_ratio"] < 3
+    assert set(made.metrics["track"]["by_joint"]) == set(body.joint_names)
+
+
+def test_keypoints_and_masks_of_the_user_s_own_are_preferred(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 60)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
+    true = people[TRAIN]
+    brought = torch.cat([true.points, true.visibility[..., None]], dim=-1)[None]
+    own = of_one_camera(clip, landmarks=brought, mattes=true.mattes[None])
+    wrong = dataclasses.replace(true, points=true.points + 30, mattes=255 - true.mattes)
+    made = run(own, body, OneCamera(wrong), poses="estimated", masks="given")
+    assert torch.equal(made.blurred.mattes, true.mattes)
+    assert made.metrics["fit"]["cam1"]["reprojection_px"] < 3
