@@ -34,7 +34,8 @@ test: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.rasterizer
 
-# Writes into dvc.yaml which code each stage runs; a test compares.
+# Writes into dvc.yaml which code each stage runs, and the pipelines of experiments after it; tests
+# compare.
 deps: $(STAMP)
 	$(BIN)/python -m tests.structure.import_closure --write
 

@@ -393,7 +393,20 @@ def load_params(path: Path, key: str, kind: Any) -> Any:
     Raises:
         ConfigError: naming the file, the key, what was wanted and what came.
     """
-    return _section(read_yaml(path), path, key, kind)
+    return _section(read_params(path), path, key, kind)
+
+
+def read_params(path: Path) -> Any:
+    """Read a parameter file; sections that it lacks come from the file that its `shared` names.
+
+    Raises:
+        ConfigError: if one of the two is missing or is not YAML.
+    """
+    content = read_yaml(path)
+    if not isinstance(content, dict) or "shared" not in content:
+        return content
+    below = read_yaml(Path(path).parent / parse(str, content["shared"], f"{path}: shared"))
+    return {**below, **{key: value for key, value in content.items() if key != "shared"}}
 
 
 def _section(content: Any, path: Path, key: str, kind: Any) -> Any:
@@ -413,7 +426,7 @@ def check_parameters(path: Path) -> None:
     Raises:
         ConfigError: for the first section that cannot be run.
     """
-    content = read_yaml(path)
+    content = read_params(path)
     sections: dict[str, Any] = {
         "schedules": ScheduleParams,
         "bodies": BodyParams,

@@ -73,3 +73,17 @@ def test_every_section_is_immutable(tmp_path):
     params = load_params(written(tmp_path, GOOD), "blur", BlurParams)
     with pytest.raises(ValueError, match="frozen"):
         params.window = 3
+
+
+def test_sections_that_a_file_lacks_come_from_the_file_it_shares(tmp_path):
+    (tmp_path / "deep").mkdir()
+    written(tmp_path, GOOD + "seed: 3\n")
+    (tmp_path / "deep/own.yaml").write_text("shared: ../params.yaml\nseed: 4\n")
+    whole = load_params(tmp_path / "params.yaml", "blur", BlurParams)
+    assert load_params(tmp_path / "deep/own.yaml", "blur", BlurParams) == whole
+    assert load_params(tmp_path / "deep/own.yaml", "seed", int) == 4
+    with pytest.raises(ConfigError, match="the file has no key 'shared'"):
+        load_params(tmp_path / "deep/own.yaml", "shared", str)
+    (tmp_path / "deep/own.yaml").write_text("shared: gone.yaml\n")
+    with pytest.raises(ConfigError, match="cannot read .*gone.yaml: No such file"):
+        load_params(tmp_path / "deep/own.yaml", "seed", int)

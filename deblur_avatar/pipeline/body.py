@@ -4,7 +4,7 @@ from pathlib import Path
 
 from deblur_avatar.artifacts import Body
 from deblur_avatar.avatar.anny_body import bake_anny
-from deblur_avatar.avatar.smpl_files import read_smpl
+from deblur_avatar.avatar.smpl_files import DOWNLOAD_PAGE, read_smpl
 from deblur_avatar.config import AnnyBodyParams, SmplBodyParams, expand_environment
 
 
@@ -18,4 +18,5 @@ def build_body(params: AnnyBodyParams | SmplBodyParams) -> Body:
     """
     if isinstance(params, AnnyBodyParams):
         return bake_anny(params.shape_components)
-    return read_smpl(Path(expand_environment(params.file, "bodies: file")), params.shape_components)
+    where = "bodies: file (an SMPL model, from " + DOWNLOAD_PAGE + "; or use the body anny)"
+    return read_smpl(Path(expand_environment(params.file, where)), params.shape_components)

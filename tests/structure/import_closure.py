@@ -1,4 +1,4 @@
-"""Which files of this repository a stage script runs; writes them into dvc.yaml.
+"""Which files of this repository a stage script runs; writes them into the dvc.yaml files.
 
     python -m tests.structure.import_closure --write
 
@@ -17,6 +17,8 @@ from pathlib import Path
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.scalarstring import ScalarString
+
+from tests.structure.experiments import write_pipelines
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = "deblur_avatar"
@@ -172,7 +174,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=write_dependencies.__doc__)
     parser.add_argument("--write", action="store_true", help="change dvc.yaml")
     if parser.parse_args().write:
-        changed = write_dependencies()
+        changed = write_dependencies() + write_pipelines()
         sys.stdout.write(f"dvc.yaml: {', '.join(changed) or 'nothing'} changed\n")
         return 0
     wrong = []

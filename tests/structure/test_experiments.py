@@ -1,0 +1,128 @@
+"""Pipelines of experiments are the one at the root, over scenes of their own."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from deblur_avatar.config import ClipParams, check_parameters, load_params, read_params
+from tests.structure.experiments import (
+    PARAMS,
+    PIPELINE,
+    ROOT,
+    experiments,
+    pipeline,
+    write_pipelines,
+)
+from tests.structure.import_closure import stages
+
+ZJU = ROOT / "experiments/zju"
+WINDOWS = {377: 17, 392: 17, 393: 33, 394: 33, 386: 49, 387: 49}
+every_experiment = pytest.mark.parametrize("folder", experiments(), ids=lambda path: path.name)
+
+
+def resolved(folder):
+    content = YAML(typ="safe", pure=True).load(folder / PIPELINE)
+    return {name: stage.get("do", stage) for name, stage in content["stages"].items()}
+
+
+@every_experiment
+def test_an_experiment_is_the_pipeline_at_the_root(folder):
+    assert (folder / PIPELINE).read_text() == pipeline(folder), "run `make deps`"
+    assert set(resolved(folder)) == set(stages())
+
+
+@every_experiment
+def test_an_experiment_writes_below_its_folder_alone(folder):
+    name = str(folder.relative_to(ROOT))
+    for stage in resolved(folder).values():
+        written = [next(iter(out)) if isinstance(out, dict) else out for out in stage["outs"]]
+        assert all(path.startswith(f"{name}/") for path in written)
+        assert not re.search(r"(?<![\w/-])(data|metrics|reports|params\.yaml)", stage["cmd"])
+
+
+@every_experiment
+def test_the_parameters_of_an_experiment_are_valid(folder):
+    check_parameters(folder / PARAMS)
+
+
+@every_experiment
+def test_dvc_understands_an_experiment(folder):
+    command = [sys.executable, "-m", "dvc", "stage", "list", f"{folder.relative_to(ROOT)}/dvc.yaml"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for run in read_params(folder / PARAMS)["runs"]:
+        assert f"evaluate@{run}" in done.stdout
+
+
+def test_zju_mocap_is_the_six_subjects_of_the_paper():
+    content = read_params(ZJU / PARAMS)
+    assert content["schedule"] == "full"
+    for subject, window in WINDOWS.items():
+        scene = content["scenes"][f"zju_{subject}"]
+        assert scene["blur"] == {
+            "frames": "interpolated", "factor": 8, "window": window, "light": "srgb",
+        }  # fmt: skip
+        clip = load_params(ZJU / PARAMS, f"scenes.zju_{subject}.clip", ClipParams)
+        assert clip.root == f"${{ZJU_MOCAP_ROOT}}/CoreView_{subject}"
+        assert (clip.train_camera, clip.test_cameras, clip.test_stride) == (0, "all", 30)
+        for method in ("oracle", "blind", "paper", "lean"):
+            assert content["runs"][f"zju_{subject}-{method}"]["scene"] == f"zju_{subject}"
+    assert len(content["scenes"]) == len(WINDOWS)
+    frames = {name: scene["clip"]["frames"][1] for name, scene in content["scenes"].items()}
+    assert frames == {
+        "zju_377": 570, "zju_386": 540, "zju_387": 540, "zju_392": 556, "zju_393": 658,
+        "zju_394": 475,
+    }  # fmt: skip
+
+
+def test_no_test_instant_of_zju_mocap_is_set_aside_for_validation():
+    for scene in read_params(ZJU / PARAMS)["scenes"].values():
+        dropped = (scene["blur"]["window"] // 2 + 7) // scene["blur"]["factor"]
+        stride = scene["preprocess"]["validation_stride"]
+        tested = range(scene["clip"]["test_stride"], scene["clip"]["frames"][1], 30)
+        assert not [frame for frame in tested if (frame - dropped) % stride == stride // 2]
+
+
+@pytest.mark.parametrize("model", [None, "nowhere/SMPL_NEUTRAL.pkl"])
+def test_a_missing_body_is_one_clear_line(tmp_path, model):
+    environment = {k: v for k, v in os.environ.items() if k not in ("SMPL_MODEL", "ZJU_MOCAP_ROOT")}
+    environment |= {} if model is None else {"SMPL_MODEL": model}
+    command = [sys.executable, "stages/body.py", "--name", "smpl", "--out", str(tmp_path / "body")]
+    command += ["--params-file", str(ZJU / PARAMS)]
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("ConfigError")
+    assert "smpl.is.tue.mpg.de" in done.stderr
+    assert ("SMPL_MODEL" if model is None else model) in done.stderr
+
+
+def test_a_pipeline_follows_the_root_and_its_own_parameters(tmp_path: Path):
+    (tmp_path / "experiments/small").mkdir(parents=True)
+    (tmp_path / "experiments/small/params.yaml").write_text("seed: 1\nscenes: {}\n")
+    (tmp_path / "dvc.yaml").write_text(
+        "stages:\n  cut:\n    foreach: ${scenes}\n    do:\n"
+        "      cmd: python stages/cut.py --metrics metrics/${key}.json --params-file params.yaml\n"
+        "      deps: [stages/cut.py, 'data/raw/${key}']\n"
+        "      params: [seed, 'methods.${item.method}']\n"
+        "      outs: ['data/cut/${key}', 'metrics/${key}.json': {cache: false}]\n"
+    )
+    assert write_pipelines(tmp_path) == ["experiments/small/dvc.yaml"]
+    assert write_pipelines(tmp_path) == []
+    stage = resolved(tmp_path / "experiments/small")["cut"]
+    assert stage["wdir"] == "../.."
+    assert stage["cmd"] == (
+        "python stages/cut.py --metrics experiments/small/metrics/${key}.json "
+        "--params-file experiments/small/params.yaml"
+    )
+    assert stage["deps"] == ["stages/cut.py", "experiments/small/data/raw/${key}"]
+    own, shared = stage["params"]
+    assert own == {"experiments/small/params.yaml": ["seed"]}
+    assert shared == "methods.${item.method}"
+    assert stage["outs"][1] == {"experiments/small/metrics/${key}.json": {"cache": False}}
