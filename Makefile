@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: setup repro test bench deps readme clean-cache
+.PHONY: setup repro check test bench deps readme clean-cache
 
 setup: $(STAMP)
 
@@ -23,6 +23,10 @@ $(STAMP): pyproject.toml constraints.txt
 
 repro: $(STAMP)
 	$(BIN)/python -m deblur_avatar.pipeline.reproduce
+
+# Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
+check: $(STAMP)
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/dvc repro check$(if $(SCENE),@$(SCENE))
 
 test: $(STAMP)
 	$(BIN)/ruff check .

@@ -182,6 +182,15 @@ class PreprocessParams(Params):
     validation_stride: Annotated[int, Field(ge=2)]  # every so-manieth frame is set aside
 
 
+# --- check --------------------------------------------------------------------------------------
+
+
+class CheckParams(Params):
+    """What happens to a scene that fails its check."""
+
+    on_failure: Literal["warn", "stop"]
+
+
 # --- avatar and its fitting ---------------------------------------------------------------------
 
 
@@ -438,6 +447,7 @@ def check_parameters(path: Path) -> None:
         "animations": AnimationParams,
     }
     _section(content, path, "seed", int)
+    _section(content, path, "check", CheckParams)
     for section, kind in sections.items():
         for name in _section(content, path, section, dict):
             _section(content, path, f"{section}.{name}", kind)

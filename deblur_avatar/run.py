@@ -143,6 +143,30 @@ def write_json(path: Path, content: Any) -> None:
     scratch.replace(path)
 
 
+def read_json(path: Path) -> dict[str, Any]:
+    """Read numbers that another stage wrote.
+
+    Raises:
+        ArtifactError: if the file is missing or damaged.
+    """
+    try:
+        content = json.loads(Path(path).read_text())
+    except (OSError, ValueError) as error:
+        raise ArtifactError(f"cannot read {path}: {error}; run `dvc repro`") from None
+    if not isinstance(content, dict):
+        raise ArtifactError(f"{path} holds a {type(content).__name__}; run `dvc repro`")
+    return content
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in one move."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}.part")
+    scratch.write_text(text)
+    scratch.replace(path)
+
+
 def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(key): _rounded(item) for key, item in value.items()}

@@ -69,8 +69,11 @@ def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
     runs = read_yaml(params_file)["runs"]
     kept = [name for name, run in runs.items() if run["scene"] not in missing]
     animated = read_yaml(params_file)["animations"]
-    return [f"evaluate@{name}" for name in kept] + [
-        f"animate@{name}" for name in animated if name in kept
+    scenes = dict.fromkeys(runs[name]["scene"] for name in kept)
+    return [
+        *(f"check@{scene}" for scene in scenes),
+        *(f"evaluate@{name}" for name in kept),
+        *(f"animate@{name}" for name in animated if name in kept),
     ]
 
 

@@ -1,0 +1,145 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from deblur_avatar.config import CheckParams
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.pipeline.check import (
+    blur_extent,
+    check_scene,
+    coverage,
+    judged,
+    refuse_failed,
+    seen_azimuths,
+    silhouette,
+    tell,
+    worst,
+)
+from deblur_avatar.pipeline.check_pictures import check_page, draw_check
+
+SIZE = 96
+
+
+@pytest.fixture(scope="module")
+def seen(make_observations):
+    """Five frames of a person facing the camera, her left arm swinging; mattes as her body is."""
+    filmed = make_observations(size=SIZE, degrees=8.0)
+    masks = [silhouette(filmed, position) for position in range(5)]
+    mattes = torch.from_numpy(np.stack(masks).astype(np.uint8) * 255)
+    return dataclasses.replace(filmed, mattes=mattes)
+
+
+def verdicts(observations, fit=None):
+    findings = check_scene(observations, fit or {})["findings"]
+    return {name: finding["verdict"] for name, finding in findings.items()}
+
+
+def test_a_body_that_fills_its_mask_is_found_to(seen):
+    content = check_scene(seen, {})
+    assert content["findings"]["mask_body_iou"]["value"] == pytest.approx(1)
+    assert content["findings"]["person_share"]["value"] == 1
+    assert content["findings"]["cut_off_share"]["verdict"] == "ok"
+    json.dumps(content)
+
+
+def test_a_body_beside_its_mask_fails_and_says_what_to_do(seen):
+    beside = dataclasses.replace(seen, mattes=seen.mattes.roll(20, dims=2))
+    finding = check_scene(beside, {})["findings"]["mask_body_iou"]
+    assert finding["verdict"] == "fail"
+    assert "focal length" in finding["advice"]
+
+
+def test_a_person_in_few_frames_is_warned_of(seen):
+    assert (
+        verdicts(dataclasses.replace(seen, weights=torch.tensor([1.0, 0, 1, 1, 1])))["person_share"]
+        == "warn"
+    )
+    assert (
+        verdicts(dataclasses.replace(seen, weights=torch.tensor([1.0, 0, 0, 0, 1])))["person_share"]
+        == "fail"
+    )
+
+
+def test_blur_is_the_way_of_the_joints_while_the_shutter_is_open(seen):
+    blur = blur_extent(seen)
+    # The hand swings 8 degrees a frame, the shutter is open throughout.
+    hand = blur["hands"]
+    arm = 0.6 * 1.6 * SIZE / 4  # metres, in pixels at 4 m
+    assert hand == pytest.approx(arm * np.radians(8), rel=0.4)
+    assert blur["feet"] < 0.2 * hand
+    half = dataclasses.replace(seen, exposure=seen.exposure / 2)
+    assert blur_extent(half)["hands"] == pytest.approx(hand / 2, rel=1e-3)
+    assert blur_extent(dataclasses.replace(seen, exposure=None)) == {}
+
+
+def test_directions_count_from_the_front_to_the_left(seen):
+    np.testing.assert_allclose(seen_azimuths(seen), 0, atol=0.5)
+    turned = dataclasses.replace(
+        seen.poses, global_orient=torch.tensor([0.0, -np.pi / 2, 0]).float().repeat(5, 1)
+    )
+    # Turned to her right she shows the camera her left side.
+    np.testing.assert_allclose(seen_azimuths(dataclasses.replace(seen, poses=turned)), 90, atol=0.5)
+
+
+def test_coverage_is_what_all_frames_see_together():
+    assert coverage(np.array([0.0])) == 120
+    assert coverage(np.array([0.0, 5, -5])) == 130
+    assert coverage(np.array([170.0, -170])) == 140
+    assert coverage(np.arange(0.0, 360, 30)) == 360
+    assert coverage(np.array([])) == 0
+
+
+def test_saturated_pixels_and_people_cut_off_are_found(seen):
+    bright = dataclasses.replace(seen, frames=torch.full_like(seen.frames, 255))
+    assert verdicts(bright)["saturated_share"] == "fail"
+    mattes = seen.mattes.clone()
+    mattes[:, -1, 40:50] = 255
+    assert verdicts(dataclasses.replace(seen, mattes=mattes))["cut_off_share"] == "fail"
+
+
+def test_what_preprocess_measured_is_judged_too(seen):
+    height = check_scene(seen, {})["findings"]["person_height_px"]["value"]
+    fit = {"fit": {"front": {"reprojection_px": 0.04 * height}}, "track": {"speed_ratio": 4.0}}
+    found = check_scene(seen, fit)["findings"]
+    assert found["reprojection_share"]["value"] == pytest.approx(0.04, rel=1e-3)
+    assert found["reprojection_share"]["verdict"] == "warn"
+    assert found["speed_ratio"]["verdict"] == "warn"
+    assert verdicts(seen)["reprojection_share"] == "unknown"
+
+
+def test_rising_and_falling_numbers_are_judged_by_their_own_side():
+    assert [judged("mask_body_iou", value).verdict for value in (0.9, 0.6, 0.3)] == [
+        "ok", "warn", "fail",
+    ]  # fmt: skip
+    assert [judged("blur_share", value).verdict for value in (0.1, 0.3, 0.9)] == [
+        "ok", "warn", "fail",
+    ]  # fmt: skip
+    assert judged("view_coverage_degrees", 1.0).verdict == "warn"
+    assert worst(["ok", "unknown", "warn"]) == "warn"
+    assert worst(["unknown"]) == "ok"
+
+
+def test_a_failed_scene_is_told_loudly_and_stops_only_if_asked(seen, caplog):
+    content = check_scene(dataclasses.replace(seen, mattes=seen.mattes.roll(20, dims=2)), {})
+    tell("hall", content)
+    assert "FAIL hall: mask body iou" in caplog.text
+    refuse_failed("hall", content, CheckParams(on_failure="warn"))
+    with pytest.raises(ArtifactError, match=r"scene hall fails its check \(.*mask_body_iou"):
+        refuse_failed("hall", content, CheckParams(on_failure="stop"))
+
+
+def test_the_page_shows_every_finding_and_the_sheet(seen):
+    content = check_scene(seen, {})
+    sheet = draw_check(seen)
+    page = check_page("hall", content, sheet)
+    for name in content["findings"]:
+        assert name.replace("_", " ") in page
+    assert "not measured" in page
+    assert "data:image/jpeg" in page
+    assert "http" not in page
+    # Blue is dominant nowhere but on the body's outline and the camera's path.
+    blue = (sheet[..., 2].astype(int) - sheet[..., 0] > 100).sum()
+    assert blue > 300
