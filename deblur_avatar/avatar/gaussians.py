@@ -76,16 +76,32 @@ def sample_surface(
     faces: Int64[Tensor, "T 3"],
     count: int,
     generator: torch.Generator,
+    areas: Float[Tensor, " T"] | None = None,
 ) -> tuple[Float[Tensor, "N 3"], Int64[Tensor, " N"], Float[Tensor, "N 3"]]:
-    """Draw points uniformly over a mesh: positions, triangles, barycentric coordinates."""
-    corners = vertices[faces]
-    edges = corners[:, 1:] - corners[:, :1]
-    areas = torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=-1)
+    """Draw points uniformly over a mesh: positions, triangles, barycentric coordinates.
+
+    Args:
+        vertices: positions, metres.
+        faces: triangles.
+        count: how many points.
+        generator: of the random positions.
+        areas: the triangles' `face_areas`, where the caller has them.
+    """
+    areas = face_areas(vertices, faces) if areas is None else areas
     chosen = torch.multinomial(areas, count, replacement=True, generator=generator)
     uv = torch.rand(count, 2, generator=generator, dtype=vertices.dtype, device=vertices.device)
     root = uv[:, :1].sqrt()
     weights = torch.cat([1 - root, root * (1 - uv[:, 1:]), root * uv[:, 1:]], dim=1)
-    return (weights[..., None] * corners[chosen]).sum(1), chosen, weights
+    return (weights[..., None] * vertices[faces[chosen]]).sum(1), chosen, weights
+
+
+def face_areas(
+    vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"]
+) -> Float[Tensor, " T"]:
+    """Areas of triangles, square metres, times two."""
+    corners = vertices[faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    return torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=-1)
 
 
 def neighbour_indices(points: Float[Tensor, "N 3"], count: int) -> Int64[Tensor, "N K"]:

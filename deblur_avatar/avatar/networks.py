@@ -4,11 +4,14 @@ A condition (pose code, frame code) is the same for every point, so its share of
 computed once and added, instead of being copied to every point.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from deblur_avatar.avatar.half_precision import leaky_layers, worthwhile
 
 LEAKY_SLOPE = 0.01  # 3DGS-Avatar
 
@@ -35,7 +38,12 @@ class ConditionedMLP(nn.Module):
         bias: Tensor = first.bias
         if condition is not None:
             bias = bias + first.weight[:, self._inputs :] @ condition
-        value = torch.addmm(bias, points, first.weight[:, : self._inputs].T)
+        weight = first.weight[:, : self._inputs]
+        if worthwhile(points):
+            others = [*self.layers[1:], self.last]
+            weights = [weight, *(layer.weight for layer in others)]
+            return leaky_layers(points, weights, [bias, *(b.bias for b in others)], LEAKY_SLOPE)
+        value = torch.addmm(bias, points, weight.T)
         for layer in self.layers[1:]:
             value = layer(nn.functional.leaky_relu(value, LEAKY_SLOPE, inplace=True))
         return self.last(nn.functional.leaky_relu(value, LEAKY_SLOPE, inplace=True))
@@ -60,25 +68,38 @@ def spherical_harmonics(directions: Float[Tensor, "P 3"]) -> Float[Tensor, "P 15
 
     Source: the usual real basis (Sloan, "Stupid Spherical Harmonics Tricks", 2008), no DC term.
     """
-    x, y, z = directions.unbind(-1)
-    xx, yy, zz = x * x, y * y, z * z
-    return torch.stack(
-        [
-            -0.48860251190292 * y,
-            0.48860251190292 * z,
-            -0.48860251190292 * x,
-            1.09254843059208 * x * y,
-            -1.09254843059208 * y * z,
-            0.94617469575756 * zz - 0.31539156525252,
-            -1.09254843059208 * x * z,
-            0.54627421529604 * (xx - yy),
-            0.59004358992664 * y * (yy - 3 * xx),
-            2.89061144264055 * x * y * z,
-            0.45704579946446 * y * (1 - 5 * zz),
-            0.37317633259011 * z * (5 * zz - 3),
-            0.45704579946446 * x * (1 - 5 * zz),
-            1.44530572132028 * z * (xx - yy),
-            0.59004358992664 * x * (3 * yy - xx),
-        ],
-        -1,
-    )
+    second = (directions[:, :, None] * directions[:, None, :]).flatten(1)
+    third = (second[:, :, None] * directions[:, None, :]).flatten(1)
+    monomials = torch.cat([directions, second, third], dim=1)
+    return monomials @ _harmonics(directions.dtype, directions.device)
+
+
+# Each harmonic as factor times monomial of x, y, z on the unit sphere, where 1 = xx + yy + zz.
+_HARMONICS: Sequence[Mapping[str, float]] = (
+    {"y": -0.48860251190292},
+    {"z": 0.48860251190292},
+    {"x": -0.48860251190292},
+    {"xy": 1.09254843059208},
+    {"yz": -1.09254843059208},
+    {"zz": 0.63078313050504, "xx": -0.31539156525252, "yy": -0.31539156525252},
+    {"xz": -1.09254843059208},
+    {"xx": 0.54627421529604, "yy": -0.54627421529604},
+    {"yyy": 0.59004358992664, "xxy": -1.77013076977993},
+    {"xyz": 2.89061144264055},
+    {"xxy": 0.45704579946446, "yyy": 0.45704579946446, "yzz": -1.82818319785784},
+    {"zzz": 0.74635266518022, "xxz": -1.11952899777034, "yyz": -1.11952899777034},
+    {"xxx": 0.45704579946446, "xyy": 0.45704579946446, "xzz": -1.82818319785784},
+    {"xxz": 1.44530572132028, "yyz": -1.44530572132028},
+    {"xyy": 1.77013076977993, "xxx": -0.59004358992664},
+)
+
+
+@cache
+def _harmonics(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Factors of the 39 products of up to three coordinates, one column a harmonic."""
+    table = torch.zeros(3 + 9 + 27, len(_HARMONICS), dtype=dtype)
+    for column, terms in enumerate(_HARMONICS):
+        for monomial, factor in terms.items():
+            row = int("".join(str("xyz".index(letter)) for letter in monomial), 3)
+            table[(0, 3, 12)[len(monomial) - 1] + row, column] = factor
+    return table.to(device)

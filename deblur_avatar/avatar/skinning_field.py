@@ -26,9 +26,7 @@ class SkinningField(nn.Module):
     Source: 3DGS-Avatar's skinning network (4 layers of 128) with ARAH's hierarchical softmax.
     """
 
-    paths: Tensor
-    leaves: Tensor
-    passed: Tensor
+    terms: Tensor
 
     def __init__(self, parents: tuple[int, ...], hidden: Sequence[int]) -> None:
         super().__init__()
@@ -36,25 +34,30 @@ class SkinningField(nn.Module):
         children = [[j for j, p in enumerate(parents) if p == joint] for joint in range(count)]
         inner = [joint for joint, below in enumerate(children) if below]
         # One logit a child for how a joint's outgoing mass is shared, one a parent for how much.
-        self._shares = [below for below in children if below]
-        self._inner = inner
-        self._shared = [child for below in self._shares for child in below]
+        self._shared = [child for below in children for child in below]
         self.network = ConditionedMLP(3, 0, hidden, len(self._shared) + len(inner))
-        # log w_j = log keep_j + sum over the edges on the path from the root of log pass.
-        paths = torch.zeros(len(self._shared), count)
-        leaves = torch.zeros(len(inner), count)
+        # log w_j = log keep_j + sum over the edges on the path from the root of log pass, and log
+        # keep = log pass - gate. A joint with one child passes everything to it: its share is 1.
+        forks = [below for below in children if len(below) > 1]
+        forked = [child for below in forks for child in below]
+        paths = torch.zeros(len(forked), count)
         passed = torch.zeros(len(inner), count)
+        kept = torch.zeros(len(inner), count)
         for joint in range(count):
             if joint in inner:
-                leaves[inner.index(joint), joint] = 1
+                passed[inner.index(joint), joint] = 1
+                kept[inner.index(joint), joint] = -1
             node = joint
             while parents[node] >= 0:
-                paths[self._shared.index(node), joint] = 1
+                if node in forked:
+                    paths[forked.index(node), joint] = 1
                 passed[inner.index(parents[node]), joint] = 1
                 node = parents[node]
-        self.register_buffer("paths", paths, persistent=False)
-        self.register_buffer("leaves", leaves, persistent=False)
-        self.register_buffer("passed", passed, persistent=False)
+        self._columns = [
+            slice(self._shared.index(below[0]), self._shared.index(below[-1]) + 1)
+            for below in forks
+        ]
+        self.register_buffer("terms", torch.cat([paths, passed, kept]), persistent=False)
 
     def forward(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P J"]:
         """Blend weights at each point."""
@@ -62,14 +65,10 @@ class SkinningField(nn.Module):
 
     def from_logits(self, logits: Float[Tensor, "P L"]) -> Float[Tensor, "P J"]:
         """Turn the network's outputs into weights that sum to 1."""
-        shares, gates = logits[:, : len(self._shared)], logits[:, len(self._shared) :]
-        groups = [
-            part.log_softmax(-1) if part.shape[1] > 1 else torch.zeros_like(part)
-            for part in shares.split([len(below) for below in self._shares], dim=1)
-        ]
-        keep = nn.functional.logsigmoid(-gates)
+        gates = logits[:, len(self._shared) :]
+        shares = [logits[:, columns].log_softmax(-1) for columns in self._columns]
         move = nn.functional.logsigmoid(gates)
-        return (torch.cat(groups, 1) @ self.paths + keep @ self.leaves + move @ self.passed).exp()
+        return (torch.cat([*shares, move, gates], dim=1) @ self.terms).exp()
 
 
 def surface_weights(

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts import Checkpoint, Observations
-from deblur_avatar.avatar.gaussians import neighbour_indices, sample_surface
+from deblur_avatar.avatar.gaussians import face_areas, neighbour_indices, sample_surface
 from deblur_avatar.avatar.model import AvatarModel, Dressed, encode
 from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import ScheduleParams, StartParams
@@ -85,6 +85,7 @@ class AvatarFit:
         self._queue: list[int] = []
         self._neighbours: Tensor | None = None
         self._feet: Feet | None = None
+        self._areas = face_areas(model.canonical_vertices, model.body.faces.to(device))
         self._gaussian_optimiser = _gaussian_optimiser(model, params)
         self._network_optimiser = _network_optimiser(model, trajectory, fusion, params)
         self._network_rates = [group["lr"] for group in self._network_optimiser.param_groups]
@@ -133,15 +134,10 @@ class AvatarFit:
         target = self._targets[index]
         instants = self.trajectory(index)
         dressed = self._dress(iteration, index, instants)
-        if supervision == "sharp":
-            rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
-        else:
-            rotations, transl = instants.rotations, instants.transl
-        transforms = self.model.transforms(rotations, transl)
-        centre = transforms[0] if supervision == "sharp" else self._centre_transforms(instants)
+        virtual, centre = self._transforms(instants, supervision)
         noise = self.model.view_noise(self._generator)
         colors = self.model.colors(dressed, centre, self._viewmat, noise)
-        means, covars = dressed.posed(transforms)
+        means, covars = dressed.posed(virtual)
         drawn = self._rasterize(means, covars, colors, target, average=mask != "union")
         image = drawn.image.mean(0)
         alpha = drawn.alpha.mean(0)
@@ -223,8 +219,15 @@ class AvatarFit:
         deform = iteration > self._params.optimiser.nonrigid_start * self._scale
         return self.model.dress(instants.centre_rotations, index, deform=deform, pose_noise=noise)
 
-    def _centre_transforms(self, instants: Instants) -> Tensor:
-        return self.model.transforms(instants.centre_rotations, instants.centre_transl)
+    def _transforms(self, instants: Instants, supervision: str) -> tuple[Tensor, Tensor]:
+        """Of the drawn instants [S, J, 4, 4] and of the middle [J, 4, 4], in one go."""
+        rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
+        if supervision == "sharp":
+            transforms = self.model.transforms(rotations, transl)
+            return transforms, transforms[0]
+        rotations = torch.cat([instants.rotations, rotations])
+        transforms = self.model.transforms(rotations, torch.cat([instants.transl, transl]))
+        return transforms[:-1], transforms[-1]
 
     def _rasterize(
         self, means: Tensor, covars: Tensor, colors: Tensor, target: Target, average: bool
@@ -302,7 +305,9 @@ class AvatarFit:
         body = self.model.body
         vertices = self.model.canonical_vertices
         faces = body.faces.to(self._device)
-        points, chosen, corners = sample_surface(vertices, faces, samples, self._generator)
+        points, chosen, corners = sample_surface(
+            vertices, faces, samples, self._generator, self._areas
+        )
         own = body.lbs_weights.to(self._device)[faces[chosen]]
         wanted = (corners[..., None] * own).sum(1)
         return losses.skinning(self.model.weights_at(points), wanted)

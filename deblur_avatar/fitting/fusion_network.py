@@ -5,6 +5,7 @@ M averaged, both differentiable.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float
@@ -43,7 +44,9 @@ class FusionNetwork(nn.Module):
         height, width = sharp.shape[:2]
         left, top, right, bottom = box
         seen = sharp[top:bottom, left:right]
-        features = self.look(seen.permute(2, 0, 1)[None])[0].flatten(1).T
+        # The convolution as one product over all pixels: faster than as a convolution.
+        patches = nn.functional.unfold(seen.permute(2, 0, 1)[None], kernel_size=3, padding=1)[0].T
+        features = nn.functional.linear(patches, self.look.weight.flatten(1), self.look.bias)
         position = position_code(height, width, sharp)[top:bottom, left:right].flatten(0, 1)
         condition = torch.cat([pose_code, self.frame_codes.weight[frame]])
         inside = self.network(torch.cat([position, features], dim=1), condition).sigmoid()
@@ -57,9 +60,14 @@ def position_code(height: int, width: int, like: Tensor) -> Float[Tensor, "H W 1
 
     Source: the 2-D sinusoidal code of the authors' fusion network (after BAGS).
     """
-    rates = 10000 ** (-torch.arange(FREQUENCIES, dtype=like.dtype) / FREQUENCIES).to(like)
-    rows = torch.arange(height).to(like)[:, None] * (2 * torch.pi / height) * rates
-    columns = torch.arange(width).to(like)[:, None] * (2 * torch.pi / width) * rates
+    return _position_code(height, width, like.dtype, like.device)
+
+
+@lru_cache(maxsize=4)
+def _position_code(height: int, width: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    rates = 10000 ** (-torch.arange(FREQUENCIES, dtype=dtype) / FREQUENCIES)
+    rows = torch.arange(height, dtype=dtype)[:, None] * (2 * torch.pi / height) * rates
+    columns = torch.arange(width, dtype=dtype)[:, None] * (2 * torch.pi / width) * rates
     row_code = torch.cat([rows.sin(), rows.cos()], 1)[:, None].expand(-1, width, -1)
     column_code = torch.cat([columns.sin(), columns.cos()], 1)[None].expand(height, -1, -1)
-    return torch.cat([row_code, column_code], dim=-1)
+    return torch.cat([row_code, column_code], dim=-1).to(device)

@@ -83,12 +83,16 @@ def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -
     Where the camera sees a Gaussian the picture outweighs this; where it does not, values become
     those of the nearest that it does see. Absolute, so that an edge costs no more than a slope.
     """
-    return (values[neighbours] - values[:, None]).abs().mean()
+    return _apart(values, neighbours).abs().mean()
 
 
 def _spacings(values: Tensor, neighbours: Tensor) -> Tensor:
     # Not `norm`: two Gaussians in one place are the case where its gradient is not a number.
-    apart = values[neighbours] - values[:, None]
-    squared = apart.square().sum(-1)
-    touching = squared < torch.finfo(values.dtype).tiny
-    return torch.where(touching, torch.ones_like(squared), squared).sqrt() * ~touching
+    squared = _apart(values, neighbours).square().sum(0)
+    return squared.clamp(min=torch.finfo(values.dtype).tiny).sqrt()
+
+
+def _apart(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Tensor:
+    """Neighbours' values minus one's own, [D, K, N]: rows without strides, five times as fast."""
+    rows, near = values.T.contiguous(), neighbours.T.contiguous()
+    return rows.index_select(1, near.flatten()).unflatten(1, near.shape) - rows[:, None]

@@ -29,27 +29,24 @@ def forward_kinematics(
     Returns:
         Matrices that move a rest-pose point as if glued to each joint.
 
-    Source: Loper et al., "SMPL", SIGGRAPH Asia 2015, eq. 2-4. Joints of equal depth in the tree are
-    computed together, so the cost is that of the tree's height.
+    Source: Loper et al., "SMPL", SIGGRAPH Asia 2015, eq. 2-4. All joints take ever longer leaps
+    towards the root at once, so the cost is the logarithm of the tree's height.
     """
-    turned: list[Tensor] = []  # per level: world rotation of its joints
-    placed: list[Tensor] = []  # per level: world position of its joints
     offsets = _offsets(joints, parents)
-    order, inverse, rows = _levels(parents)
-    for level, members in enumerate(order):
-        local = rotations[..., members, :, :]
-        if level == 0:
-            turned.append(local)
-            placed.append(offsets[members].expand(*local.shape[:-2], 3))
-            continue
-        above = turned[-1][..., rows[level], :, :]
-        turned.append(above @ local)
-        moved = (above @ offsets[members][..., None])[..., 0]
-        placed.append(placed[-1][..., rows[level], :] + moved)
-    world = torch.cat(turned, dim=-3)[..., inverse, :, :]
-    position = torch.cat(placed, dim=-2)[..., inverse, :]
-    shift = position - (world @ joints[..., None])[..., 0] + transl[..., None, :]
-    top = torch.cat([world, shift[..., None]], dim=-1)
+    world = _affine(rotations, offsets.expand(*rotations.shape[:-2], 3))
+    still = torch.eye(4).to(world).expand(*world.shape[:-3], 1, 4, 4)
+    for above in _leaps(parents):
+        padded = torch.cat([world, still], dim=-3)
+        world = padded.index_select(-3, above.to(world.device)) @ world
+    turned = world[..., :3, :3]
+    shift = world[..., :3, 3] - (turned @ joints[..., None])[..., 0] + transl[..., None, :]
+    return _affine(turned, shift)
+
+
+def _affine(
+    rotation: Float[Tensor, "*batch 3 3"], shift: Float[Tensor, "*batch 3"]
+) -> Float[Tensor, "*batch 4 4"]:
+    top = torch.cat([rotation, shift[..., None]], dim=-1)
     bottom = top.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*top.shape[:-2], 1, 4)
     return torch.cat([top, bottom], dim=-2)
 
@@ -97,19 +94,14 @@ def _offsets(joints: Tensor, parents: tuple[int, ...]) -> Tensor:
 
 
 @lru_cache
-def _levels(
-    parents: tuple[int, ...],
-) -> tuple[list[list[int]], list[int], list[list[int]]]:
-    """Group joints by depth: members of each level, where each joint ends up, parents' rows."""
-    depth: list[int] = []
-    for joint, parent in enumerate(parents):
-        if parent >= joint:
-            raise ValueError(f"joint {joint} has parent {parent}: parents must come first")
-        depth.append(0 if parent < 0 else depth[parent] + 1)
-    order = [[j for j, d in enumerate(depth) if d == level] for level in range(max(depth) + 1)]
-    rows: list[list[int]] = [[]] + [
-        [order[level - 1].index(parents[j]) for j in order[level]] for level in range(1, len(order))
-    ]
-    flat = [j for members in order for j in members]
-    inverse = [flat.index(j) for j in range(len(parents))]
-    return order, inverse, rows
+def _leaps(parents: tuple[int, ...]) -> tuple[Tensor, ...]:
+    """Each joint's ancestor 1, 2, 4, ... levels up; one past the last joint for above the root."""
+    outside = len(parents)
+    if any(parent >= joint for joint, parent in enumerate(parents)):
+        raise ValueError(f"parents must come first, got {parents}")
+    above = [outside if parent < 0 else parent for parent in parents]
+    leaps = []
+    while any(joint != outside for joint in above):
+        leaps.append(torch.tensor(above))
+        above = [outside if joint == outside else above[joint] for joint in above]
+    return tuple(leaps)
