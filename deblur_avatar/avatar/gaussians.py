@@ -95,9 +95,7 @@ def sample_surface(
     return (weights[..., None] * vertices[faces[chosen]]).sum(1), chosen, weights
 
 
-def face_areas(
-    vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"]
-) -> Float[Tensor, " T"]:
+def face_areas(vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"]) -> Float[Tensor, " T"]:
     """Areas of triangles, square metres, times two."""
     corners = vertices[faces]
     edges = corners[:, 1:] - corners[:, :1]

@@ -49,8 +49,9 @@ def quat_to_axis_angle(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batc
 
 def quat_to_matrix(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Turn quaternions into rotation matrices; quaternions are normalised first."""
-    unit = torch.nn.functional.normalize(quats, dim=-1)
-    return (_products(unit, unit) @ _table(_MATRIX, quats)).unflatten(-1, (3, 3))
+    squared = quats.square().sum(-1, keepdim=True) + torch.finfo(quats.dtype).tiny
+    rows = _products(quats, quats) @ _table(_MATRIX, quats)
+    return (rows / squared).unflatten(-1, (3, 3))
 
 
 def matrix_to_quat(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:

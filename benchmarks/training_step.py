@@ -1,0 +1,311 @@
+"""Where a training step's time goes, and what sharing work between instants saves.
+
+    python -m benchmarks.training_step [--json FILE]
+
+prints JSON: for each method milliseconds a step (the median), shares of its parts (forward and
+backward) and of kinds of work, and for `paper` the same step written naively: instants one by one,
+networks evaluated for each, coverage rendered apart. Both are measured in turns, so that a busy
+machine slows them alike. The scene is a person of capsules.
+
+Kinds of work: `rasterizer` and `posing kernel` are the two native kernels; `layers` is all inside a
+stack of network layers, where products, ReLUs and rounding alternate; `matrix products` is what of
+that, and of everything else but the kernels, are products in the narrow sense. The profiler slows
+down many short calls, not long ones, so `kernels_and_layers_ms` is to be held against `ms`.
+"""
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.profiler_util import FunctionEvent
+from torch.profiler import ProfilerActivity, profile, record_function
+
+from benchmarks.rasterizer import machine
+from deblur_avatar.artifacts import Cameras, Observations, Poses
+from deblur_avatar.avatar import half_precision
+from deblur_avatar.avatar.capsule_body import capsule_body
+from deblur_avatar.avatar.model import AvatarModel, draw
+from deblur_avatar.config import MethodParams, ModelParams, ScheduleParams, StartParams, load_params
+from deblur_avatar.fitting.avatar_fit import AvatarFit
+from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.imaging.rasterizers import rasterize
+from deblur_avatar.pipeline.trajectory import new_trajectory
+from deblur_avatar.run import stage
+
+PARAMETERS = Path("params.yaml")
+METHODS = {"blind": "paper", "paper": "paper", "lean": "lean"}  # and the start each goes on from
+FRAMES = 8
+FPS = 60.0
+EXPOSURE = 4 / FPS  # seconds
+STEPS = 34
+WARM_UP = 10
+
+# The profiler's names of products of matrices, besides oneDNN's.
+PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "mv", "addmv", "addmv_", "convolution_backward")
+PART = "part: "
+
+Step = Callable[[int], Any]
+
+
+def observations(size: int) -> Observations:
+    """A person of capsules who swings an arm, in blurred frames of this size."""
+    body = capsule_body()
+    time_ = torch.linspace(-0.5, 0.5, FRAMES)
+    pose = torch.zeros(FRAMES, len(body.parents) - 1, 3)
+    pose[:, 15, 2] = time_
+    poses = Poses(
+        betas=torch.zeros(body.shape_dirs.shape[2]),
+        global_orient=torch.zeros(FRAMES, 3),
+        body_pose=pose,
+        transl=torch.stack([0.1 * time_, 0 * time_, 0 * time_], 1),
+    )
+    cameras = Cameras(
+        Ks=torch.tensor([[[1.8 * size, 0, size / 2], [0, 1.8 * size, size / 2], [0, 0, 1]]]),
+        viewmats=look_at(
+            torch.tensor([0.0, -0.2, 4.0]), torch.tensor([0, -0.2, 0]), torch.tensor([0.0, 1, 0])
+        )[None],
+        distortion=torch.zeros(1, 5),
+        sizes=torch.tensor([[size, size]]),
+        names=("front",),
+    )
+    plain = ModelParams(nonrigid=None, skinning=None, color=None)
+    generator = torch.Generator().manual_seed(0)
+    model = AvatarModel.create(plain, body, poses.betas, FRAMES, 2000, "srgb", generator)
+    with torch.no_grad():
+        model.gaussians.features.copy_(4 * torch.sin(7 * model.gaussians.means))
+        model.gaussians.opacity_logits.fill_(3.0)
+    images, alphas = draw(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+    return Observations(
+        frames=(images * 255).round().to(torch.uint8),
+        mattes=(alphas * 255).round().to(torch.uint8),
+        cameras=cameras,
+        crops=torch.tensor([[0.0, 0, size, size]]),
+        train_camera=0,
+        body=body,
+        poses=poses,
+        weights=torch.ones(FRAMES),
+        frame_indices=tuple(range(FRAMES)),
+        timestamps=torch.arange(FRAMES) / FPS,
+        exposure=EXPOSURE,
+        light="srgb",
+        train=tuple(range(FRAMES)),
+        validation=(),
+    )
+
+
+def begin(name: str, seen: Observations, schedule: ScheduleParams) -> tuple[AvatarFit, Step]:
+    """A fit of one method in its last stage, where all its parts take part, and its step."""
+    start = load_params(PARAMETERS, f"starts.{METHODS[name]}", StartParams)
+    method = load_params(PARAMETERS, f"methods.{name}", MethodParams)
+    generator = torch.Generator().manual_seed(0)
+    torch.manual_seed(0)
+    model = AvatarModel.create(
+        start.model, seen.body, seen.poses.betas, FRAMES, schedule.gaussians, seen.light, generator
+    )
+    with torch.no_grad():
+        model.gaussians.opacity_logits.fill_(2.0)
+    network = None
+    if method.fusion.network is not None:
+        sizes = method.fusion.network
+        network = FusionNetwork(
+            model.pose_encoder.size, FRAMES, sizes.frame_codes, sizes.color_features, sizes.hidden
+        )
+    trajectory = new_trajectory(seen, method.trajectory, generator)
+    device = torch.device("cpu")
+    fit = AvatarFit(model, trajectory, seen, start, schedule, device, generator, network)
+    last = schedule.fusion  # past the last edit of the Gaussians
+
+    def step(index: int) -> None:
+        fit.step(last - STEPS + index, method.fusion.supervision, method.fusion.mask)
+
+    return fit, step
+
+
+def naive(fit: AvatarFit) -> Step:
+    """The same step of `paper` without sharing anything between the instants of an exposure."""
+    model, camera = fit.model, (fit._viewmat, fit._K)
+
+    def render(index: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor, Any, Any]:
+        target = fit._targets[index]
+        height, width = target.matte.shape
+        dressed = model.dress(rotations, index)
+        transforms = model.transforms(rotations[None], transl[None])
+        colors = model.colors(dressed, transforms[0], fit._viewmat)
+        means, covars = dressed.posed(transforms)
+        scene = (means, covars, model.gaussians.opacities)
+        image = rasterize(*scene, colors, *camera, width, height).image[0]
+        white = torch.ones_like(colors)
+        alpha = rasterize(*scene, white, *camera, width, height).image[0, :, :, 0]
+        return image, alpha, dressed, (means[0], covars[0])
+
+    def step(iteration: int) -> None:
+        index = fit._next_frame()
+        target, instants = fit._targets[index], fit.trajectory(index)
+        drawn = [
+            render(index, *instant)
+            for instant in zip(instants.rotations, instants.transl, strict=True)
+        ]
+        mean = torch.stack([image for image, *_ in drawn]).mean(0)
+        alpha = torch.stack([alpha for _, alpha, *_ in drawn]).mean(0)
+        centre = instants.centre_rotations, instants.centre_transl
+        sharp, _, dressed, posed = render(index, *centre)
+        assert fit.fusion is not None
+        assert dressed.pose_code is not None
+        blend = fit.fusion(sharp, dressed.pose_code, index, target.box)
+        last = fit._schedule.fusion - STEPS + iteration
+        terms = fit._losses(last, (1 - blend) * sharp + blend * mean, alpha, target)
+        terms |= fit._isotropy(*posed)
+        fit._descend(last, torch.stack(list(terms.values())).sum())
+
+    return step
+
+
+def milliseconds(steps: Iterable[Step]) -> list[float]:
+    """Median time of each of several steps, taken in turns."""
+    steps = list(steps)
+    times: list[list[float]] = [[] for _ in steps]
+    for index in range(STEPS):
+        for step, taken in zip(steps, times, strict=True):
+            start = time.perf_counter()
+            step(index)
+            if index >= WARM_UP:
+                taken.append(1e3 * (time.perf_counter() - start))
+    return [sorted(taken)[len(taken) // 2] for taken in times]
+
+
+def parts_of(fit: AvatarFit, step: Step) -> dict[str, Any]:
+    """Shares of a step's time by part, forward and backward together, and by kind of work."""
+    named: list[tuple[Any, str, str]] = [
+        (fit.model, "dress", "networks"), (fit.model, "colors", "networks"),
+        (fit, "_transforms", "skinning"), (fit, "_rasterize", "rasterize"),
+        (fit, "_losses", "losses"), (fit, "_isotropy", "losses"), (fit, "_evenness", "losses"),
+        (fit, "_descend", "optimiser"), (fit, "_densify", "optimiser"),
+        (fit.trajectory, "forward", "skinning"), (fit.fusion, "forward", "networks"),
+    ]  # fmt: skip
+    for owner, method, part in named:
+        if owner is not None:
+            setattr(owner, method, _marked(getattr(owner, method), part))
+    for index in range(WARM_UP):
+        step(index)
+    with profile(activities=[ProfilerActivity.CPU]) as profiler:
+        for index in range(WARM_UP, STEPS):
+            with record_function(PART + "other"):
+                step(index)
+    return _shares(list(profiler.events()), STEPS - WARM_UP)
+
+
+def _marked(function: Callable[..., Any], part: str) -> Callable[..., Any]:
+    def marked(*arguments: Any, **named: Any) -> Any:
+        with record_function(PART + part):
+            return function(*arguments, **named)
+
+    return marked
+
+
+def _shares(events: list[FunctionEvent], steps: int) -> dict[str, Any]:
+    """A backward step belongs to the part whose forward call has its sequence number."""
+    forward: dict[int, str] = {}
+    for event in events:
+        # Posing happens between the marked calls, in the step itself.
+        part = "skinning" if event.name == "_Posing" else _part(event)
+        backward = "evaluate_function" in event.name or "Backward" in event.name
+        if event.sequence_nr >= 0 and part and not backward:
+            forward.setdefault(event.sequence_nr, part)
+    spent: dict[str, float] = defaultdict(float)
+    work: dict[str, float] = defaultdict(float)
+    products = 0.0
+    for event in events:
+        part = _part(event) or "other"
+        above: FunctionEvent | None = event
+        while above is not None:
+            if "evaluate_function" in above.name:
+                part = forward.get(above.sequence_nr, "other")
+                break
+            if above.name == "_Posing":
+                part = "skinning"
+                break
+            above = above.cpu_parent
+        took = event.self_cpu_time_total
+        spent[part] += took
+        work[_kind(event)] += took
+        if event.name.startswith("mkldnn::") or event.name.removeprefix("aten::") in PRODUCTS:
+            products += took
+    total = sum(spent.values())
+    return {
+        "parts": {name: round(value / total, 4) for name, value in sorted(spent.items())},
+        "work": {name: round(value / total, 4) for name, value in sorted(work.items())},
+        "matrix products": round(products / total, 4),
+        "kernels_and_layers_ms": round(1e-3 * (total - work["other"]) / steps, 2),
+    }
+
+
+def _part(event: FunctionEvent | None) -> str | None:
+    while event is not None:
+        if event.name.startswith(PART):
+            return event.name.removeprefix(PART)
+        event = event.cpu_parent
+    return None
+
+
+def _kind(event: FunctionEvent | None) -> str:
+    kernels = {"_Rasterize": "rasterizer", "_Posing": "posing kernel", "_Layers": "layers"}
+    while event is not None:
+        for name, kind in kernels.items():
+            if event.name in (name, f"{name}Backward"):
+                return kind
+        event = event.cpu_parent
+    return "other"
+
+
+def measure() -> dict[str, Any]:
+    """All methods, and `paper` written naively in half and in full precision."""
+    name = load_params(PARAMETERS, "schedule", str)
+    schedule = load_params(PARAMETERS, f"schedules.{name}", ScheduleParams)
+    seen = observations(schedule.image_height)
+    record: dict[str, Any] = {"schedule": name, "methods": {}}
+    for method in METHODS:
+        fit, step = begin(method, seen, schedule)
+        (took,) = milliseconds([step])
+        record["methods"][method] = {"ms": round(took, 2), **parts_of(fit, step)}
+    _, shared = begin("paper", seen, schedule)
+    apart = naive(begin("paper", seen, schedule)[0])
+    slow = naive(begin("paper", seen, schedule)[0])
+    able = half_precision._multiplies_half
+
+    def in_full_precision(index: int) -> None:
+        half_precision._multiplies_half = lambda: False  # type: ignore[assignment]
+        slow(index)
+        half_precision._multiplies_half = able
+
+    took, naively, fully = milliseconds([shared, apart, in_full_precision])
+    record["naive"] = {
+        "ms": round(took, 2),
+        "naive_ms": round(naively, 2),
+        "naive_float32_ms": round(fully, 2),
+        "faster": round(naively / took, 2),
+        "faster_than_float32": round(fully / took, 2),
+    }
+    return record
+
+
+def main(json_file: Path | None) -> None:
+    """Measure, print, and write."""
+    where = machine(4.1)
+    with stage("benchmark", "training_step", 0):  # as stages do: memory kept, equal bits
+        record = {"machine": where, **measure()}
+    print(json.dumps(record, indent=1))
+    if json_file:
+        json_file.write_text(json.dumps(record, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, help="write the record to this file")
+    main(parser.parse_args().json)
