@@ -195,9 +195,10 @@ class Observations(Artifact):
     here, so that poses are known throughout; only `train` are fitted and `validation` are set
     aside.
     `weights` in [0, 1] say how far a frame's pose is to be trusted; 0 for frames without a person.
+    `depth_known`: the poses tell how far joints are from the camera better than one camera can.
     """
 
-    schema: ClassVar[str] = "observations/1"
+    schema: ClassVar[str] = "observations/2"
 
     frames: UInt8[Tensor, "F H W 3"]
     mattes: UInt8[Tensor, "F H W"]
@@ -213,6 +214,7 @@ class Observations(Artifact):
     light: str
     train: tuple[int, ...]  # positions in this artifact
     validation: tuple[int, ...]
+    depth_known: bool
 
     def validate(self) -> None:
         """Refuse an unknown light, an empty training set, frames in two roles."""

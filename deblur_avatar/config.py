@@ -178,6 +178,10 @@ class PreprocessParams(Params):
     masks: Literal["given", "estimated"]
     background: Literal["none", "median", "auto"]  # taken away behind a soft matte; auto: median
     # where the camera stands still
+    depth: Literal[
+        "known", "unknown"
+    ]  # known: the poses come from several views, say, and tell how
+    # far joints are from the camera better than the training camera can
     margin: NonNegative  # of the crop, as a share of the person's box
     validation_stride: Annotated[int, Field(ge=2)]  # every so-manieth frame is set aside
 
@@ -256,6 +260,7 @@ class LossParams(Params):
     even_shapes: NonNegative  # their raw scales and opacities
     even_heights: NonNegative  # and how far they stand off the body
     anchor: NonNegative  # clip motion: knots stay near the first estimate
+    depth: NonNegative  # clip motion: so do joints' distances from the camera, where depth is known
     bending: NonNegative  # clip motion: knots hardly accelerate
     shutter: NonNegative  # clip motion: an estimated shutter stays near the first guess
 

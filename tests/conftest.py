@@ -87,6 +87,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
             light="srgb",
             train=tuple(range(frames - 1)),
             validation=(frames - 1,),
+            depth_known=True,
         )
 
     return make

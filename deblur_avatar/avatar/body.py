@@ -78,7 +78,18 @@ def posed_joints(
     transl: Float[Tensor, "*batch 3"],
 ) -> Float[Tensor, "*batch J 3"]:
     """Positions of the joints of the posed body."""
-    transforms = joint_transforms(body, betas, global_orient, body_pose, transl)
+    axis_angle = torch.cat([global_orient[..., None, :], body_pose], dim=-2)
+    return joints_from_rotations(body, betas, axis_angle_to_matrix(axis_angle), transl)
+
+
+def joints_from_rotations(
+    body: Body,
+    betas: Float[Tensor, " B"],
+    rotations: Float[Tensor, "*batch J 3 3"],
+    transl: Float[Tensor, "*batch 3"],
+) -> Float[Tensor, "*batch J 3"]:
+    """Positions of the joints from each joint's rotation relative to its parent."""
+    transforms = transforms_from_rotations(body, betas, rotations, transl)
     rest = shaped_joints(body, betas)
     return (transforms[..., :3, :3] @ rest[..., None])[..., 0] + transforms[..., :3, 3]
 

@@ -114,6 +114,13 @@ class ClipMotion(Trajectory):
         transl = spline_points(self.transl, times)
         return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
 
+    def first(self, frame: int) -> Instants:
+        """The middle of one exposure as it was before fitting."""
+        time = self.middles[frame : frame + 1]
+        quats = spline_quats(axis_angle_to_quat(self.first_axis_angle), time)
+        transl = spline_points(self.first_transl, time)
+        return Instants(quats, transl, quats[0], transl[0])
+
     def counts(self, frames: int) -> Int64[Tensor, " F"]:
         """How many instants fitting takes of each exposure."""
         return self.taken.clone()

@@ -58,6 +58,10 @@ class Trajectory(nn.Module):
         """What is known of such motion beforehand, as named penalties without weights."""
         return {}
 
+    def first(self, frame: int) -> Instants | None:
+        """The middle of one exposure as it was before fitting, where that is remembered."""
+        return None
+
     def counts(self, frames: int) -> Int64[Tensor, " F"]:
         """How many instants fitting takes of each exposure."""
         return torch.full((frames,), len(self.u))

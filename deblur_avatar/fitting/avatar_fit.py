@@ -14,6 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts import Checkpoint, Observations
+from deblur_avatar.avatar.body import joints_from_rotations
+from deblur_avatar.avatar.clip_motion import LEVER
 from deblur_avatar.avatar.gaussians import face_areas, neighbour_indices, sample_surface
 from deblur_avatar.avatar.model import AvatarModel, Dressed, encode
 from deblur_avatar.avatar.motion import Instants, Trajectory
@@ -75,6 +77,7 @@ class AvatarFit:
         camera = observations.train_camera
         self._K = observations.cameras.Ks[camera].to(device)
         self._viewmat = observations.cameras.viewmats[camera].to(device)
+        self._depth_known = observations.depth_known
         self._targets = {
             index: _target(observations, index, device)
             for index in observations.train
@@ -155,7 +158,7 @@ class AvatarFit:
         terms = self._losses(iteration, image, alpha, target)
         middle = len(means) // 2
         terms |= self._isotropy(means[middle], covars[middle])
-        terms |= self._evenness() | self._priors()
+        terms |= self._evenness() | self._priors(index, instants)
         total = torch.stack(list(terms.values())).sum()
         self._descend(iteration, total)
         self._densify(iteration, drawn, target)
@@ -278,10 +281,23 @@ class AvatarFit:
             for name, value in values.items()
         }
 
-    def _priors(self) -> dict[str, Tensor]:
+    def _priors(self, index: int, instants: Instants) -> dict[str, Tensor]:
+        """What is known of the motion beforehand; other cameras may have told its depth."""
         weights = self._params.losses.model_dump()
         priors = self.trajectory.priors()
+        first = self.trajectory.first(index) if self._depth_known else None
+        if first is not None and weights["depth"] > 0:
+            # Steps towards the camera, in radians of a joint's turn.
+            shift = (self._depths(instants) - self._depths(first)) / LEVER
+            priors["depth"] = shift.square().mean()
         return {name: weights[name] * term for name, term in priors.items() if weights[name] > 0}
+
+    def _depths(self, instants: Instants) -> Tensor:
+        """How far the joints are from the camera at the middle of an exposure, metres."""
+        places = joints_from_rotations(
+            self.model.body, self.model.betas, instants.centre_rotations, instants.centre_transl
+        )
+        return places @ self._viewmat[2, :3] + self._viewmat[2, 3]
 
     def _near(self) -> Tensor:
         if self._neighbours is None:

@@ -9,12 +9,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts import Observations
-from deblur_avatar.avatar.body import posed_joints
+from deblur_avatar.avatar.body import joints_from_rotations
 from deblur_avatar.avatar.clip_motion import ClipMotion
 from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import TrajectoryParams
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.geometry.rotations import quat_to_axis_angle
 
 SAMPLES = 9  # instants along each path
 
@@ -40,11 +39,8 @@ def farthest_travel(trajectory: Trajectory, observations: Observations) -> Float
 
 def _travel(frame: Instants, observations: Observations) -> Float[Tensor, ""]:
     camera = observations.train_camera
-    turned = quat_to_axis_angle(frame.quats)
-    joints = posed_joints(
-        observations.body, observations.poses.betas.to(turned), turned[:, 0], turned[:, 1:],
-        frame.transl,
-    )  # fmt: skip
+    betas = observations.poses.betas.to(frame.transl)
+    joints = joints_from_rotations(observations.body, betas, frame.rotations, frame.transl)
     cameras = observations.cameras
     pixels, _ = project(joints, cameras.Ks[camera].to(joints), cameras.viewmats[camera].to(joints))
     return pixels.diff(dim=0).norm(dim=-1).sum(0).amax()

@@ -129,6 +129,7 @@ def preprocess(
         light=clip.light,
         train=train,
         validation=validation,
+        depth_known=params.depth == "known",
     )
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:

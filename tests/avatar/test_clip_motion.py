@@ -145,3 +145,18 @@ def test_the_pictures_pull_on_the_shutter():
     # Further at the end of the exposure: it must have been longer.
     motion(20).transl[-1].sum().backward()
     assert float(motion.log_shutter.grad) > 0
+
+
+def test_a_trajectory_remembers_where_it_started(tmp_path):
+    motion = clip_motion(circling(12), exposure=2 / 60)
+    before = motion(7)
+    with torch.no_grad():
+        motion.transl.add_(1.0)
+        motion.axis_angle.add_(0.1)
+    first = motion.first(7)
+    torch.testing.assert_close(first.centre_transl, before.centre_transl)
+    torch.testing.assert_close(first.centre_quats, before.centre_quats)
+    motion.to_artifact(torch.zeros(2), torch.arange(12) / 60).save(tmp_path / "motion")
+    again = trajectory_from_artifact(Motion.load(tmp_path / "motion"))
+    torch.testing.assert_close(again.first(7).centre_transl, before.centre_transl)
+    assert again(7).centre_transl[0] > before.centre_transl[0] + 0.9

@@ -6,6 +6,7 @@ import torch
 from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Checkpoint
 from deblur_avatar.avatar import model as model_module
 from deblur_avatar.avatar.body import posed_joints
+from deblur_avatar.avatar.clip_motion import ClipMotion
 from deblur_avatar.avatar.model import AvatarModel, draw
 from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants
 from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
@@ -52,6 +53,9 @@ def begin(observations, start, schedule):
         if motion == "pair":
             apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
             trajectory = PairMotion(seen.poses, instants(5, "endpoints"), noise, apart)
+        elif motion == "clip":
+            u = instants(5, "midpoints")
+            trajectory = ClipMotion.near(seen.poses, u, seen.timestamps, 1 / 60, 1 / 60, 0.0)
         else:
             trajectory = FrameMotion(seen.poses, refined=motion == "frame")
         network = None
@@ -550,3 +554,34 @@ def test_terms_of_evenness_and_of_the_motion_are_weighted_and_named(begin, start
     again = begin(params=doubled).step(1, "sharp", "mean")
     assert again["even_heights"] == pytest.approx(2 * terms["even_heights"], rel=1e-5)
     assert again["even_shapes"] == pytest.approx(terms["even_shapes"], rel=1e-5)
+
+
+def test_steps_towards_the_camera_are_held_back_and_steps_across_are_not(begin, start):
+    fit = begin(params=changed(start, "losses", depth=2.0), motion="clip")
+    middle = len(fit.trajectory.transl) // 2
+
+    def held_back(step: list[float]) -> float:
+        with torch.no_grad():
+            fit.trajectory.transl += torch.tensor(step)
+            term = fit._priors(2, fit.trajectory(2))["depth"]
+            fit.trajectory.transl -= torch.tensor(step)
+        return float(term)
+
+    assert middle > 0
+    assert held_back([0.0, 0.0, 0.0]) == pytest.approx(0.0, abs=1e-9)
+    # The camera looks along z.
+    assert held_back([0.03, 0.03, 0.0]) == pytest.approx(0.0, abs=1e-9)
+    assert held_back([0.0, 0.0, 0.03]) == pytest.approx(2.0 * 0.1**2, rel=1e-4)
+
+
+def test_depth_is_free_where_the_first_poses_do_not_know_it(begin, start, sharpened):
+    params = changed(start, "losses", depth=2.0)
+    fit = begin(params=params, motion="clip", seen=sharpened(depth_known=False))
+    with torch.no_grad():
+        fit.trajectory.transl += 0.1
+    assert "depth" not in fit._priors(2, fit.trajectory(2))
+
+
+def test_motion_that_remembers_no_start_is_not_held_back(begin, start):
+    fit = begin(params=changed(start, "losses", depth=2.0, anchor=1.0), motion="pair")
+    assert fit._priors(2, fit.trajectory(2)) == {}

@@ -62,6 +62,7 @@ def clip(poses: Poses, people: dict[int, Landmarks]) -> BlurryClip:
 def params(**changes: Any) -> PreprocessParams:
     given: dict[str, Any] = {
         "poses": "given",
+        "depth": "unknown",
         "masks": "given",
         "background": "none",
         "margin": 0.1,
@@ -93,6 +94,11 @@ def test_a_clip_of_the_size_wanted_comes_out_unchanged(clip: BlurryClip, body: B
     assert made.blurred.crops.tolist() == [[0, 0, *SIZE]] * 4
     assert made.blurred.frame_indices == clip.frame_indices
     assert made.blurred.exposure == clip.exposure
+
+
+def test_observations_say_whether_their_poses_know_depth(clip: BlurryClip, body: Body):
+    assert not run(clip, body).blurred.depth_known
+    assert run(clip, body, depth="known").blurred.depth_known
 
 
 def test_sharp_and_exact_observations_differ_in_frames_and_poses_alone(

@@ -44,9 +44,11 @@ def standing(body: Body) -> tuple[Clip, Reference]:
     return filmed(body, motion="still", noise_degrees=0.0, noise_mm=0.0)
 
 
-def test_every_field_is_filled(turning: tuple[Clip, Reference]):
+def test_every_field_is_filled_but_landmarks(turning: tuple[Clip, Reference]):
     for artifact in turning:
         for field in dataclasses.fields(artifact):
+            if field.name == "landmarks":
+                continue  # poses are known
             assert getattr(artifact, field.name) is not None, field.name
 
 
