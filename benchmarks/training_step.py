@@ -160,7 +160,7 @@ def naive(fit: AvatarFit) -> Step:
         assert dressed.pose_code is not None
         blend = fit.fusion(sharp, dressed.pose_code, index, target.box)
         last = fit._schedule.fusion - STEPS + iteration
-        terms = fit._losses(last, (1 - blend) * sharp + blend * mean, alpha, target)
+        terms = fit._losses(last, [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target)
         terms |= fit._isotropy(*posed)
         fit._descend(last, torch.stack(list(terms.values())).sum())
 

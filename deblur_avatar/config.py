@@ -315,7 +315,7 @@ class StartParams(Params):
 class TrajectoryParams(Params):
     """How the body moves while the shutter is open, and what the frame is compared with."""
 
-    motion: Literal["fixed", "frame", "pair", "clip"]
+    motion: Literal["fixed", "frame", "pair", "cubic", "learned", "released", "clip"]
     virtual_poses: Count  # at most, where `pixels_per_pose` says how many
     pixels_per_pose: (
         NonNegative  # clip: farthest travel in the picture per virtual pose; 0: always all
@@ -325,7 +325,7 @@ class TrajectoryParams(Params):
     start_noise: NonNegative  # pair: radians; parts start from end
     knot_frames: Positive  # clip: frames between two knots of the trajectory
     smoothness: NonNegative  # clip: of the first trajectory, against closeness to the given poses
-    supervision: Literal["sharp", "mean"]
+    supervision: Literal["sharp", "mean", "released"]
     mask: Literal["mean", "union", "centre"]
 
 
@@ -335,12 +335,13 @@ class FusionNetworkParams(Params):
     hidden: tuple[Count, ...]
     frame_codes: Count
     color_features: Count
+    pose: bool  # whether it sees the pose's code (of avatars that have one)
 
 
 class FusionParams(Params):
     """The last stage: what the frame is compared with from here on."""
 
-    supervision: Literal["sharp", "mean", "fused"]
+    supervision: Literal["sharp", "mean", "fused", "released"]
     mask: Literal["mean", "union", "centre"]
     network: FusionNetworkParams | None
 

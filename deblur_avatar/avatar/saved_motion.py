@@ -4,7 +4,8 @@ import torch
 
 from deblur_avatar.artifacts import Motion
 from deblur_avatar.avatar.clip_motion import ClipMotion
-from deblur_avatar.avatar.motion import FrameMotion, PairMotion, Trajectory
+from deblur_avatar.avatar.exposure_motions import EXPOSURE_MOTIONS
+from deblur_avatar.avatar.motion import FrameMotion, Trajectory
 from deblur_avatar.errors import ArtifactError
 
 
@@ -17,8 +18,9 @@ def trajectory_from_artifact(motion: Motion) -> Trajectory:
     trajectory: Trajectory
     if motion.kind == "clip":
         return ClipMotion.restored(motion.u, motion.parameters)
-    if motion.kind == "pair":
-        trajectory = PairMotion(motion.centre, motion.u, 0.0, torch.Generator())
+    if motion.kind in EXPOSURE_MOTIONS:
+        kind = EXPOSURE_MOTIONS[motion.kind]
+        trajectory = kind(motion.centre, motion.u, 0.0, torch.Generator())
     elif motion.kind in ("frame", "fixed"):
         trajectory = FrameMotion(motion.centre, refined=motion.kind == "frame")
     else:

@@ -24,6 +24,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import losses
 from deblur_avatar.fitting.densify import Densifier
 from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.fitting.supervision import BOTH_UNTIL, RELEASED, shares, still_frames
 from deblur_avatar.fitting.surface_height import Feet, feet_of
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
@@ -88,6 +89,7 @@ class AvatarFit:
         self._queue: list[int] = []
         self._neighbours: Tensor | None = None
         self._feet: Feet | None = None
+        self._still: set[int] | None = None
         self._areas = face_areas(model.canonical_vertices, model.body.faces.to(device))
         self._gaussian_optimiser = _gaussian_optimiser(model, params)
         self._network_optimiser = _network_optimiser(model, trajectory, fusion, params)
@@ -117,7 +119,8 @@ class AvatarFit:
             first: first iteration.
             last: last iteration.
             supervision: what frames are compared with: the sharp render, the mean over the
-                virtual instants, or the fusion network's blend of the two.
+                virtual instants, the fusion network's blend of the two, or all of them as in the
+                released code.
             mask: which coverage is compared with the matte: mean, union or centre.
             report: called after every iteration with its losses.
         """
@@ -142,20 +145,27 @@ class AvatarFit:
         colors = self.model.colors(dressed, centre, self._viewmat, noise)
         means, covars = dressed.posed(virtual)
         drawn = self._rasterize(means, covars, colors, target, average=mask != "union")
-        image = drawn.image.mean(0)
-        alpha = drawn.alpha.mean(0)
-        if mask == "union":
-            alpha = 1 - (1 - drawn.alpha).prod(0)
-        if supervision == "fused" or mask == "centre":
+        pictures = {"sharp" if supervision == "sharp" else "mean": drawn.image.mean(0)}
+        covers = drawn.alpha
+        if supervision in ("fused", RELEASED) or mask == "centre":
             posed = dressed.posed(centre[None])
             sharp = self._rasterize(*posed, colors, target, average=False)
+            pictures["sharp"] = sharp.image[0]
+            if supervision == RELEASED:
+                # The sharp render is one more instant of the exposure, and of its coverage.
+                pictures["mean"] = torch.lerp(
+                    pictures["mean"], sharp.image[0], 1 / (len(means) + 1)
+                )
+                covers = torch.cat([covers, sharp.alpha])
             if mask == "centre":
-                alpha = sharp.alpha[0]
-            if supervision == "fused" and self.fusion is not None:
-                assert dressed.pose_code is not None
-                blend = self.fusion(sharp.image[0], dressed.pose_code, index, target.box)
-                image = (1 - blend) * sharp.image[0] + blend * image
-        terms = self._losses(iteration, image, alpha, target)
+                covers = sharp.alpha
+            if self.fusion is not None:
+                pictures["fused"] = self._fused(pictures, dressed, target, supervision)
+        alpha = 1 - (1 - covers).prod(0) if mask == "union" else covers.mean(0)
+        still = supervision == RELEASED and self._is_still(iteration, index)
+        weights = shares(supervision, iteration / self._scale, still)
+        compared = [(weight, pictures[name]) for name, weight in weights.items()]
+        terms = self._losses(iteration, compared, alpha, target)
         middle = len(means) // 2
         terms |= self._isotropy(means[middle], covars[middle])
         terms |= self._evenness() | self._priors(index, instants)
@@ -232,6 +242,27 @@ class AvatarFit:
         transforms = self.model.transforms(rotations, torch.cat([instants.transl, transl]))
         return transforms[:-1], transforms[-1]
 
+    def _fused(
+        self, pictures: dict[str, Tensor], dressed: Dressed, target: Target, supervision: str
+    ) -> Tensor:
+        """The fusion network's blend of the sharp and the averaged render."""
+        assert self.fusion is not None
+        sharp, mean = pictures["sharp"], pictures["mean"]
+        seen = sharp
+        if supervision == RELEASED:
+            seen = mean = mean.detach()
+        code = dressed.pose_code if self.fusion.sees_pose else None
+        blend = self.fusion(seen, code, dressed.frame, target.box)
+        return (1 - blend) * sharp + blend * mean
+
+    def _is_still(self, iteration: int, index: int) -> bool:
+        """Whether a frame counts as still, which is settled once, when it first matters."""
+        if iteration < BOTH_UNTIL * self._scale:
+            return False
+        if self._still is None:
+            self._still = still_frames(self.trajectory, list(self._targets))
+        return index in self._still
+
     def _rasterize(
         self, means: Tensor, covars: Tensor, colors: Tensor, target: Target, average: bool
     ) -> Rasterization:
@@ -244,17 +275,17 @@ class AvatarFit:
     def _losses(
         self,
         iteration: int,
-        image: Tensor,
+        compared: list[tuple[float, Tensor]],
         alpha: Tensor,
         target: Target,
     ) -> dict[str, Tensor]:
         weights = self._params.losses
-        encoded = encode(image, self.model.light)
-        terms = {"l1": weights.l1 * losses.photometric(encoded, target.image)}
+        images = [(share, encode(image, self.model.light)) for share, image in compared]
+        apart = [share * losses.photometric(image, target.image) for share, image in images]
+        terms = {"l1": weights.l1 * torch.stack(apart).sum()}
         if weights.structure > 0:
-            terms["structure"] = weights.structure * losses.structure(
-                encoded, target.image, target.box
-            )
+            edges = [s * losses.structure(image, target.image, target.box) for s, image in images]
+            terms["structure"] = weights.structure * torch.stack(edges).sum()
         terms["mask"] = weights.mask * losses.coverage(alpha, target.matte)
         if self._params.model.skinning is not None:
             early = iteration <= self._params.optimiser.skinning_switch * self._scale

@@ -30,6 +30,7 @@ class FusionNetwork(nn.Module):
         hidden: Sequence[int],
     ) -> None:  # fmt: skip
         super().__init__()
+        self.sees_pose = pose_code > 0
         self.frame_codes = nn.Embedding(frames, frame_codes)
         self.look = nn.Conv2d(3, color_features, kernel_size=3, padding=1)
         self.network = ConditionedMLP(
@@ -37,7 +38,7 @@ class FusionNetwork(nn.Module):
         )
 
     def forward(
-        self, sharp: Float[Tensor, "H W 3"], pose_code: Float[Tensor, " E"], frame: int,
+        self, sharp: Float[Tensor, "H W 3"], pose_code: Float[Tensor, " E"] | None, frame: int,
         box: tuple[int, int, int, int],
     ) -> Float[Tensor, "H W 1"]:  # fmt: skip
         """M in (0, 1) inside a box (left, top, right, bottom); outside it both renders agree."""
@@ -48,7 +49,9 @@ class FusionNetwork(nn.Module):
         patches = nn.functional.unfold(seen.permute(2, 0, 1)[None], kernel_size=3, padding=1)[0].T
         features = nn.functional.linear(patches, self.look.weight.flatten(1), self.look.bias)
         position = position_code(height, width, sharp)[top:bottom, left:right].flatten(0, 1)
-        condition = torch.cat([pose_code, self.frame_codes.weight[frame]])
+        condition = self.frame_codes.weight[frame]
+        if pose_code is not None:
+            condition = torch.cat([pose_code, condition])
         inside = self.network(torch.cat([position, features], dim=1), condition).sigmoid()
         inside = inside.reshape(bottom - top, right - left)
         padding = (left, width - right, top, height - bottom)

@@ -30,20 +30,20 @@ def fuse(
         The avatar, its motion, and what it cost.
 
     Raises:
-        ConfigError: if fusion is asked for without its network, or of an avatar without pose code.
+        ConfigError: if fusion is asked for without its network.
     """
     model = AvatarModel.from_artifact(avatar, observations.body, device)
     trajectory = trajectory_from_artifact(motion).to(device)
     network = None
-    if params.supervision == "fused":
-        if params.network is None or start.model.nonrigid is None:
+    if params.supervision in ("fused", "released"):
+        if params.network is None:
             raise ConfigError(
-                "fusion.supervision is fused, which needs fusion.network and an avatar with a "
-                "non-rigid network (its pose code conditions the blend)"
+                f"fusion.supervision is {params.supervision}, which needs fusion.network"
             )
+        posed = params.network.pose and start.model.nonrigid is not None
         network = FusionNetwork(
-            model.pose_encoder.size, len(observations.frames), params.network.frame_codes,
-            params.network.color_features, params.network.hidden,
+            model.pose_encoder.size if posed else 0, len(observations.frames),
+            params.network.frame_codes, params.network.color_features, params.network.hidden,
         ).to(device)  # fmt: skip
     fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator, network)
     fit.restore(checkpoint)

@@ -4,8 +4,9 @@ import torch
 
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
 from deblur_avatar.avatar.clip_motion import ClipMotion
+from deblur_avatar.avatar.exposure_motions import EXPOSURE_MOTIONS
 from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.motion import FrameMotion, PairMotion, Trajectory, instants
+from deblur_avatar.avatar.motion import FrameMotion, Trajectory, instants
 from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
@@ -53,9 +54,9 @@ def new_trajectory(
         ConfigError: if one trajectory for the clip is asked for and its exposure is unknown.
     """
     poses = observations.poses
-    if params.motion == "pair":
+    if params.motion in EXPOSURE_MOTIONS:
         u = instants(params.virtual_poses, params.quadrature)
-        return PairMotion(poses, u, params.start_noise, generator)
+        return EXPOSURE_MOTIONS[params.motion](poses, u, params.start_noise, generator)
     if params.motion == "clip":
         if observations.exposure is None:
             raise ConfigError(

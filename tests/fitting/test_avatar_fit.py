@@ -7,6 +7,7 @@ from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Checkpoint
 from deblur_avatar.avatar import model as model_module
 from deblur_avatar.avatar.body import posed_joints
 from deblur_avatar.avatar.clip_motion import ClipMotion
+from deblur_avatar.avatar.exposure_motions import EXPOSURE_MOTIONS
 from deblur_avatar.avatar.model import AvatarModel, draw
 from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants
 from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
@@ -50,9 +51,10 @@ def begin(observations, start, schedule):
             params.model, seen.body, seen.poses.betas, len(seen.frames), count, seen.light,
             generator,
         )  # fmt: skip
-        if motion == "pair":
+        if motion in EXPOSURE_MOTIONS:
             apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
-            trajectory = PairMotion(seen.poses, instants(5, "endpoints"), noise, apart)
+            kind = EXPOSURE_MOTIONS[motion]
+            trajectory = kind(seen.poses, instants(5, "endpoints"), noise, apart)
         elif motion == "clip":
             u = instants(5, "midpoints")
             trajectory = ClipMotion.near(seen.poses, u, seen.timestamps, 1 / 60, 1 / 60, 0.0)
@@ -260,6 +262,34 @@ def test_fusing_trains_the_fusion_network_and_both_renders(begin):
     after = dict(fit.fusion.named_parameters())
     assert all(not torch.equal(before[name], after[name]) for name in before)
     assert {"motion.start", "motion.end"} <= moved(poses, everything(fit))
+
+
+@pytest.mark.parametrize("motion", ["cubic", "learned", "released"])
+def test_every_motion_of_an_exposure_learns_from_the_mean(begin, motion):
+    fit = begin(motion=motion, last=100)
+    before = everything(fit)
+    for iteration in range(40, 46):
+        fit.step(iteration, "mean", "mean")
+    still = {"motion.given", "motion.given_transl"}
+    unknown = {name for name in before if name.startswith("motion.")} - still
+    assert unknown <= moved(before, everything(fit))
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_the_released_code_compares_sharp_and_mean_then_sharp_and_fused(begin, fused):
+    fit = begin(motion="released", fused=True, last=150, noise=0.3)
+    weights = {"sharp": 0.1, "fused": 1.0} if fused else {"sharp": 1.0, "mean": 1.0}
+    seen = []
+    compare = fit._losses
+    fit._losses = lambda iteration, compared, *rest: (
+        seen.append([weight for weight, _ in compared]) or compare(iteration, compared, *rest)
+    )
+    fit._still = set()
+    terms = fit.step(80 if fused else 40, "released", "union")
+    assert seen == [list(weights.values())]
+    assert all(value == value for value in terms.values())
+    # The averaged render is part of the blend without gradient: only coverage moves the pair then.
+    assert fit.trajectory.start.grad is None or fit.trajectory.start.grad.abs().max() == 0
 
 
 def test_light_is_averaged_before_it_is_encoded(begin, sharpened):
