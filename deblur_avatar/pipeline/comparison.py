@@ -6,6 +6,7 @@ dictionaries of numbers, null for what was not measured.
 
 import math
 from collections.abc import Iterable, Mapping
+from statistics import stdev
 from typing import Any
 
 FLOOR, BOUND, CEILING = "blind", "oracle", "ceiling"
@@ -102,6 +103,19 @@ def averaged(results: Iterable[Result]) -> Result:
         elif all(value == values[0] for value in values):
             mean[key] = values[0]
     return mean
+
+
+def spread(results: Iterable[Result]) -> Result:
+    """Standard deviation of each number over several scenes, where two or more measured it."""
+    every = list(results)
+    deviations: Result = {}
+    for key in dict.fromkeys(key for result in every for key in result):
+        values = [result[key] for result in every if result.get(key) is not None]
+        if values and all(isinstance(value, dict) for value in values):
+            deviations[key] = spread(values)
+        elif len(values) > 1 and all(_is_number(value) for value in values):
+            deviations[key] = stdev(values)
+    return deviations
 
 
 def _is_number(value: Any) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
-from deblur_avatar.pipeline.comparison import compared, pooled
+from deblur_avatar.pipeline.comparison import compared, pooled, spread
 from deblur_avatar.pipeline.picture_strips import (
     Picture,
     Strip,
@@ -26,7 +26,7 @@ from deblur_avatar.pipeline.picture_strips import (
     strip_sheet,
     strips_of_scene,
 )
-from deblur_avatar.pipeline.report_tables import NOT_KNOWN, facts_of, tables_of
+from deblur_avatar.pipeline.report_tables import NOT_KNOWN, Titled, facts_of, tables_of
 from deblur_avatar.pipeline.results_table import (
     BOUNDS,
     NOT_MEASURED,
@@ -44,6 +44,7 @@ logger = logging.getLogger(__name__)
 TEMPLATE = "report.html.jinja"
 STRIPS = 4  # of each scene on the page
 README_STRIPS = 2
+REPEATS = 3  # scenes that saw the same methods, before a mean over them is shown
 LARGEST_VIDEO = 1_500_000  # bytes; a longer one stays out of the page
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
@@ -100,11 +101,16 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
     scenes = {scene: compared(results) for scene, results in read_results(metrics).items()}
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
     chart = speed_accuracy(scenes)
+    main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
+    repeated = _repeated(scenes)
+    if repeated is not None:
+        main = {repeated.title: repeated.table} | main
     page = _page(
         headline=_headline(scenes),
         machine=_machine(scenes),
         chart=drawn(chart) if chart["hconcat"] else "",
         quiet=(NOT_MEASURED, NOT_KNOWN),
+        repeated=repeated,
         scenes=[
             {
                 "name": scene,
@@ -119,7 +125,6 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
             for scene, results in scenes.items()
         ],
     )
-    main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     return Report(
         page=page,
         summary=_summary(scenes),
@@ -128,6 +133,19 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
         strip=_readme_strip(strips),
         log=_log(main),
     )
+
+
+def _repeated(scenes: Mapping[str, Results]) -> Titled | None:
+    """Means and deviations over scenes, where at least `REPEATS` saw the same methods."""
+    if len(scenes) < REPEATS or len({frozenset(results) for results in scenes.values()}) > 1:
+        return None
+    methods = next(iter(scenes.values()))
+    means = {method: pooled(scenes, method) for method in methods}
+    deviations = {
+        method: spread([results[method] for results in scenes.values()]) for method in methods
+    }
+    table = results_table(means, short_columns(means), spreads=deviations)
+    return Titled(f"Mean over {len(scenes)} scenes \u00b1 standard deviation", table)
 
 
 def read_results(metrics: Path) -> dict[str, Results]:

@@ -100,8 +100,9 @@ def results_table(
     missing: str = NOT_MEASURED,
     bounds: Sequence[str] = BOUNDS,
     of: str = "method",
+    spreads: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Table:
-    """Make a table of the methods of one scene.
+    """Make a table of the methods of one scene, or of their means over several.
 
     Args:
         results: by method.
@@ -109,6 +110,7 @@ def results_table(
         missing: what stands where a number is not there.
         bounds: rows that are not ranked.
         of: what a row is.
+        spreads: by method, how far the numbers scatter; shown behind them.
     """
     methods = method_order(results)
     contestants = [method for method in methods if method not in bounds]
@@ -117,7 +119,11 @@ def results_table(
         values = {method: look_up(results[method], column.path) for method in methods}
         ranks = _ranks({m: _rounded(values[m], column) for m in contestants}, column.better)
         for method, value in values.items():
-            cells[method].append(Cell(shown(value, column, missing), ranks.get(method)))
+            text = shown(value, column, missing)
+            scatter = look_up((spreads or {}).get(method, {}), column.path)
+            if value is not None and scatter is not None:
+                text = f"{text} \u00b1 {shown(scatter, column)}"
+            cells[method].append(Cell(text, ranks.get(method)))
     return Table(
         columns=tuple(columns),
         rows=tuple((method, tuple(cells[method])) for method in methods),

@@ -1,6 +1,6 @@
 import pytest
 
-from deblur_avatar.pipeline.comparison import averaged, compared, pooled, recovery
+from deblur_avatar.pipeline.comparison import averaged, compared, pooled, recovery, spread
 
 
 def result(**image):
@@ -100,3 +100,15 @@ def test_the_gap_over_scenes_is_averaged_where_there_is_a_ceiling():
         "b": compared({"blind": result(psnr=25.0)}),
     }
     assert pooled(scenes, "blind")["gap_to_ceiling_db"] == 10.0
+
+
+def test_numbers_scatter_over_scenes_where_two_measured_them():
+    deviations = spread(
+        [
+            {"scene": "a", "image": {"psnr": 20.0, "lpips": None, "new": 1.0}},
+            {"scene": "b", "image": {"psnr": 22.0, "lpips": None}},
+            {"scene": "c", "image": {"psnr": 24.0, "lpips": None}},
+        ]
+    )
+    assert deviations == {"image": {"psnr": 2.0}}
+    assert spread([{"psnr": 1.0}]) == {}

@@ -170,6 +170,21 @@ def test_the_table_for_the_readme_has_one_part_a_scene(project):
     assert "to ceiling" not in text[text.index("**yard**") :]
 
 
+def test_scenes_that_saw_the_same_methods_are_averaged_with_their_spread(project):
+    assert "Mean over" not in made(project).tables  # two scenes, and not the same methods
+    for scene, gain in (("a", 0.0), ("b", 1.0), ("c", 2.0)):
+        for method in ("oracle", "blind"):
+            path = project / "repeated" / scene / f"{method}.json"
+            write_json(path, result(scene, method, PSNR[method] + gain))
+    report = make_report(project / "repeated", project / "evaluate", project / "animate")
+    title = "Mean over 3 scenes \u00b1 standard deviation"
+    assert report.tables.startswith(f"**{title}**")
+    assert "| `blind` | 25.00 \u00b1 1.00 |" in report.tables
+    page = Page(report.page)
+    assert title in page.words
+    assert "25.00 \u00b1 1.00" in page.words
+
+
 def test_nothing_at_all_is_still_a_page(tmp_path):
     report = make_report(tmp_path / "metrics", tmp_path / "evaluate", tmp_path / "animate")
     assert "No results yet" in report.page

@@ -20,6 +20,7 @@ from tests.structure.experiments import (
 )
 from tests.structure.import_closure import stages
 
+BOUNDED = ["ceiling", "oracle", "blind"]
 ZJU = ROOT / "experiments/zju"
 WINDOWS = {377: 17, 392: 17, 393: 33, 394: 33, 386: 49, 387: 49}
 every_experiment = pytest.mark.parametrize("folder", experiments(), ids=lambda path: path.name)
@@ -126,3 +127,17 @@ def test_a_pipeline_follows_the_root_and_its_own_parameters(tmp_path: Path):
     assert own == {"experiments/small/params.yaml": ["seed"]}
     assert shared == "methods.${item.method}"
     assert stage["outs"][1] == {"experiments/small/metrics/${key}.json": {"cache": False}}
+
+
+def test_lean_is_taken_apart_as_it_is_at_the_root():
+    root, experiment = read_params(ROOT / PARAMS), read_params(ROOT / "experiments/lean" / PARAMS)
+    for section, names in (("starts", ["lean"]), ("methods", ["lean", *BOUNDED])):
+        for name in names:
+            assert experiment[section][name] == root[section][name]
+    scenes = experiment["scenes"]
+    assert scenes == dict.fromkeys(scenes, root["scenes"]["studio"])
+    runs = experiment["runs"].values()
+    methods = {scene: {r["method"] for r in runs if r["scene"] == scene} for scene in scenes}
+    assert len(methods) == 3
+    for ran in methods.values():
+        assert ran == set(experiment["methods"])
