@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: setup repro check test bench deps readme clean-cache
+.PHONY: setup repro avatar check test bench deps readme clean-cache
 
 setup: $(STAMP)
 
@@ -23,6 +23,13 @@ $(STAMP): pyproject.toml constraints.txt
 
 repro: $(STAMP)
 	$(BIN)/python -m deblur_avatar.pipeline.reproduce
+
+# From a video (or a folder of pictures) to an avatar: make avatar VIDEO=clip.mp4 [NAME=...] [METHOD=lean]
+# [SCHEDULE=quick]
+avatar: $(STAMP)
+	$(if $(VIDEO),,$(error make avatar needs a video: make avatar VIDEO=clip.mp4))
+	$(BIN)/python -m deblur_avatar.pipeline.own_video --video "$(VIDEO)" --name "$(NAME)" \
+	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),quick)
 
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: $(STAMP)

@@ -385,7 +385,8 @@ class RunParams(Params):
 class AnimationParams(Params):
     """A motion that the avatar of the run of this name is shown in.
 
-    `motion` is `builtin:<name>` or a file, and may hold `${VARIABLE:-default}`.
+    `motion` is `own` (the one that was filmed), `builtin:<name>` or a file, and may hold
+    `${VARIABLE:-default}`.
     """
 
     scene: str

@@ -3,20 +3,23 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Observations
+from deblur_avatar.artifacts import Avatar, Motion, Observations
 from deblur_avatar.config import AnimationParams, load_params
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.imaging.video_writing import write_video
 from deblur_avatar.pipeline.animate import animate, sheet_of
 
 
-def main(name: str, observations: Path, avatar: Path, out: Path, params_file: Path) -> None:
+def main(
+    name: str, observations: Path, avatar: Path, fitted: Path, out: Path, params_file: Path
+) -> None:
     """Write `<out>/video.mp4` and `<out>/contact_sheet.png` of `animations.<name>`."""
     params = load_params(params_file, f"animations.{name}", AnimationParams)
     with run.stage("animate", name, load_params(params_file, "seed", int)) as context:
         frames = animate(
             Avatar.load(avatar),
             Observations.load(observations),
+            Motion.load(fitted),
             params,
             where=f"{params_file}: animations.{name}",
             device=context.device,

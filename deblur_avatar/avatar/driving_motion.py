@@ -69,18 +69,20 @@ def resample(motion: BodyMotion, fps: float, start: float, seconds: float) -> Bo
     share = (places - before).to(motion.transl.dtype)
     return BodyMotion(
         fps=fps,
-        global_orient=_turn(motion.global_orient[before], motion.global_orient[after], share),
-        body_pose=_turn(motion.body_pose[before], motion.body_pose[after], share),
+        global_orient=turn_between(
+            motion.global_orient[before], motion.global_orient[after], share
+        ),
+        body_pose=turn_between(motion.body_pose[before], motion.body_pose[after], share),
         transl=torch.lerp(motion.transl[before], motion.transl[after], share[:, None]),
     )
 
 
-def _turn(
+def turn_between(
     start: Float[Tensor, "F *joints 3"],
     end: Float[Tensor, "F *joints 3"],
     share: Float[Tensor, " F"],
 ) -> Float[Tensor, "F *joints 3"]:
-    """Slerp with a share of its own for each frame, axis-angle in and out."""
+    """Turn along the shorter arc, with a share of its own for each frame; axis-angle in and out."""
     first = axis_angle_to_quat(start)
     step = quat_to_axis_angle(quat_multiply(quat_conjugate(first), axis_angle_to_quat(end)))
     part = axis_angle_to_quat(share.reshape(-1, *[1] * (step.ndim - 1)) * step)

@@ -10,9 +10,11 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from deblur_avatar.artifacts import Avatar, Body, Observations, Poses
+from deblur_avatar.artifacts import Avatar, Body, Motion, Observations, Poses
 from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.avatar.driving_motion import BodyMotion
 from deblur_avatar.avatar.model import AvatarModel, draw
+from deblur_avatar.avatar.own_motion import own_motion
 from deblur_avatar.avatar.placement import framed_intrinsics, level_view, place
 from deblur_avatar.config import AnimationParams, expand_environment
 from deblur_avatar.errors import ConfigError
@@ -21,6 +23,7 @@ from deblur_avatar.sources.motion_files import read_motion
 
 logger = logging.getLogger(__name__)
 
+OWN = "own"  # the motion that was filmed
 SHEET_FRAMES, SHEET_COLUMNS, SHEET_SIDE = 12, 6, 256  # pictures, pictures a row, pixels of each
 FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
 
@@ -28,6 +31,7 @@ FRAMING_POSES = 32  # poses looked at to find the frame that holds the person th
 def animate(
     avatar: Avatar,
     observations: Observations,
+    fitted: Motion,
     params: AnimationParams,
     *,
     where: str,
@@ -41,6 +45,7 @@ def animate(
     Args:
         avatar: whom to draw.
         observations: how the person was filmed; gives body, camera and the way up.
+        fitted: the motion it was filmed in, shown if `params.motion` is `own`.
         params: which motion, and how to show it.
         where: key of `params`, for messages.
         device: on which to draw.
@@ -52,14 +57,7 @@ def animate(
     """
     body, cameras = observations.body, observations.cameras
     filmed = dataclasses.replace(observations.poses, betas=avatar.betas)
-    motion = read_motion(
-        expand_environment(params.motion, f"{where}.motion"),
-        body,
-        avatar.betas,
-        fps=params.fps,
-        start=params.start,
-        seconds=params.seconds,
-    )
+    motion = _motion(fitted, observations, avatar, params, where)
     try:
         # Only where the camera stands decides what it sees; real ones often hang askew.
         viewmat = level_view(body, filmed, cameras.viewmats[observations.train_camera])
@@ -79,6 +77,26 @@ def animate(
         image, _ = draw(model, poses.at([index]), K, viewmat, size, size)
         frames.append((image[0].cpu() * 255).round().to(torch.uint8))
     return torch.stack(frames)
+
+
+def _motion(
+    fitted: Motion, observations: Observations, avatar: Avatar, params: AnimationParams, where: str
+) -> BodyMotion:
+    body = observations.body
+    if params.motion == OWN:
+        viewmat = observations.cameras.viewmats[observations.train_camera]
+        try:
+            return own_motion(fitted, body, viewmat, params.fps, params.start, params.seconds)
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from None
+    return read_motion(
+        expand_environment(params.motion, f"{where}.motion"),
+        body,
+        avatar.betas,
+        fps=params.fps,
+        start=params.start,
+        seconds=params.seconds,
+    )
 
 
 def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:

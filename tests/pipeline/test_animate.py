@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from deblur_avatar.avatar.motion import FrameMotion
 from deblur_avatar.config import AnimationParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.animate import animate, sheet_of
@@ -20,6 +21,9 @@ def shown(body, observations, **changes):
     return animate(
         avatar,
         observations,
+        FrameMotion(observations.poses, refined=False).to_artifact(
+            observations.poses.betas, observations.timestamps
+        ),
         PARAMS.model_copy(update=changes),
         where="animations.test",
         device=torch.device("cpu"),
@@ -107,3 +111,15 @@ def test_the_sheet_shows_twelve_moments_with_their_times():
     reds = {int(v) for v in np.unique(sheet[..., 0][sheet[..., 1] == 0])}
     assert reds == {int(round(i)) * 8 for i in np.linspace(0, 30, 12)}
     assert sheet_of(frames[:3], 30.0).shape[1] < sheet.shape[1]
+
+
+def test_the_filmed_motion_is_shown_at_any_frame_rate(body, observations):
+    own = shown(body, observations, motion="own", turns=0.0, fps=120.0, seconds=10.0)
+    assert len(own) == 9  # four steps of a sixtieth of a second
+    moved = (own.int() - own[0].int()).abs().amax(-1).float()
+    assert moved[-1].max() > 40
+    # Her left arm, on our right, is what moves, a little more in every frame.
+    assert moved[-1, :, 19:].sum() > 3 * moved[-1, :, :13].sum()
+    assert (moved.flatten(1).sum(1).diff() > 0).all()
+    with pytest.raises(ConfigError, match=r"lasts 0\.07 s, it cannot start at 3"):
+        shown(body, observations, motion="own", start=3.0)

@@ -5,6 +5,7 @@ from pathlib import Path
 import av
 import pytest
 
+from deblur_avatar.avatar.motion import FrameMotion
 from deblur_avatar.imaging.picture_files import read_picture
 from tests.conftest import colourful
 
@@ -21,13 +22,16 @@ animations:
 def run_stage(tmp_path, body, observations):
     observations.save(tmp_path / "observations")
     colourful(body, len(observations.frames)).to_artifact(1).save(tmp_path / "avatar")
+    still = FrameMotion(observations.poses, refined=False)
+    motion = still.to_artifact(observations.poses.betas, observations.timestamps)
+    motion.save(tmp_path / "motion")
 
     def run(motion):
         (tmp_path / "params.yaml").write_text(PARAMS.replace("MOTION", motion))
         options = {
             "name": "capsules-blind", "observations": tmp_path / "observations",
-            "avatar": tmp_path / "avatar", "out": tmp_path / "out",
-            "params-file": tmp_path / "params.yaml",
+            "avatar": tmp_path / "avatar", "fitted": tmp_path / "motion",
+            "out": tmp_path / "out", "params-file": tmp_path / "params.yaml",
         }  # fmt: skip
         words = [str(word) for key, value in options.items() for word in (f"--{key}", value)]
         command = [sys.executable, str(ROOT / "stages/animate.py"), *words]
