@@ -196,6 +196,7 @@ class Observations(Artifact):
     aside.
     `weights` in [0, 1] say how far a frame's pose is to be trusted; 0 for frames without a person.
     `depth_known`: the poses tell how far joints are from the camera better than one camera can.
+    `hidden` is the share of the body's surface that the training camera sees in no training frame.
     """
 
     schema: ClassVar[str] = "observations/2"
@@ -215,6 +216,7 @@ class Observations(Artifact):
     train: tuple[int, ...]  # positions in this artifact
     validation: tuple[int, ...]
     depth_known: bool
+    hidden: float
 
     def validate(self) -> None:
         """Refuse an unknown light, an empty training set, frames in two roles."""

@@ -256,7 +256,9 @@ class LossParams(Params):
     skinning_late: NonNegative
     isotropy_means: NonNegative  # neighbours keep their distances
     isotropy_covars: NonNegative
-    even_colors: NonNegative  # neighbours' raw colours are alike
+    even_colors: (
+        NonNegative  # of a body of which nothing is seen: neighbours' raw colours are alike
+    )
     even_shapes: NonNegative  # their raw scales and opacities
     even_heights: NonNegative  # and how far they stand off the body
     anchor: NonNegative  # clip motion: knots stay near the first estimate

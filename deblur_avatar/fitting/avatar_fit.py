@@ -78,7 +78,7 @@ class AvatarFit:
         camera = observations.train_camera
         self._K = observations.cameras.Ks[camera].to(device)
         self._viewmat = observations.cameras.viewmats[camera].to(device)
-        self._depth_known = observations.depth_known
+        self._depth_known, self._hidden = observations.depth_known, observations.hidden
         self._targets = {
             index: _target(observations, index, device)
             for index in observations.train
@@ -294,7 +294,7 @@ class AvatarFit:
         return terms
 
     def _evenness(self) -> dict[str, Tensor]:
-        """Gaussians are like their neighbours in colour, shape and height."""
+        """Gaussians are like their neighbours, the more so the less of the body is seen."""
         weights, gaussians = self._params.losses, self.model.gaussians
         if weights.even_colors == weights.even_shapes == weights.even_heights == 0:
             return {}
@@ -308,7 +308,7 @@ class AvatarFit:
             "even_heights": self._feet.heights(gaussians.means)[:, None] / HEIGHT,
         }
         return {
-            name: getattr(weights, name) * losses.unevenness(value, self._near())
+            name: self._hidden * getattr(weights, name) * losses.unevenness(value, self._near())
             for name, value in values.items()
         }
 

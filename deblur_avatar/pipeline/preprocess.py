@@ -20,6 +20,7 @@ from deblur_avatar.config import PreprocessParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting.body_fit import fit_body
 from deblur_avatar.fitting.fit_quality import measure_fit
+from deblur_avatar.fitting.hidden_surface import hidden_share
 from deblur_avatar.fitting.landmarks import Landmarks, PersonDetector
 from deblur_avatar.fitting.person_choice import detect_main_person
 from deblur_avatar.fitting.track_smoothness import measure_track
@@ -130,6 +131,7 @@ def preprocess(
         train=train,
         validation=validation,
         depth_known=params.depth == "known",
+        hidden=hidden_share(body, poses.at(list(train)), cameras, clip.train_camera),
     )
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
@@ -154,6 +156,7 @@ def preprocess(
             "train": len(train),
             "validation": len(validation),
         },
+        "hidden": blurred.hidden,
         "fit": fit,
         "landmarks_found_wrong": found_wrong,
         "track": track,

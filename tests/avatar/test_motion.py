@@ -180,7 +180,5 @@ def test_an_artifact_does_not_change_when_fitting_goes_on(poses):
 
 def test_a_kind_of_motion_from_another_version_is_refused(poses):
     artifact = pair(poses).to_artifact(poses.betas, TIMES)
-    with pytest.raises(
-        ArtifactError, match="no motion of kind 'sixth' is known; run `dvc repro`"
-    ):
+    with pytest.raises(ArtifactError, match="no motion of kind 'sixth' is known; run `dvc repro`"):
         trajectory_from_artifact(dataclasses.replace(artifact, kind="sixth"))

@@ -1,0 +1,43 @@
+"""How much of the body's surface the training camera never sees.
+
+The less it sees, the more must be taken over from what it does see.
+"""
+
+import numpy as np
+
+from deblur_avatar.artifacts import Body, Cameras, Poses
+from deblur_avatar.avatar.body import posed_vertices, shaped_vertices
+from deblur_avatar.imaging.mesh_rendering import View
+from deblur_avatar.imaging.visibility import seen_cells
+
+FRAMES = 24  # at most, spread over the clip
+CELLS = 1  # a triangle
+
+
+def hidden_share(body: Body, poses: Poses, cameras: Cameras, camera: int) -> float:
+    """Share of the area that is seen in no frame, in [0, 1].
+
+    Args:
+        body: whose surface.
+        poses: of the frames trained on.
+        cameras: without distortion.
+        camera: the one that films.
+    """
+    count = len(poses.transl)
+    chosen = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).round().astype(int))
+    frames = []
+    for index in chosen.tolist():
+        pose = poses.at([index])
+        frames.append(
+            posed_vertices(body, pose.betas, pose.global_orient, pose.body_pose, pose.transl)[0]
+            .double()
+            .numpy()
+        )
+    width, height = cameras.sizes[camera].tolist()
+    K, viewmat = cameras.Ks[camera].double().numpy(), cameras.viewmats[camera].double().numpy()
+    faces = body.faces.numpy()
+    seen = seen_cells(frames, faces, View(K, viewmat, width, height, 1), CELLS)[:, 0, 0]
+    corners = shaped_vertices(body, poses.betas).double().numpy()[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(across, axis=-1)
+    return float(areas[~seen].sum() / areas.sum())
