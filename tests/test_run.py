@@ -11,20 +11,13 @@ import torch
 
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError, ConfigError
+from tests.process_state import process_state_kept
 
 
 @pytest.fixture(autouse=True)
 def global_state():
-    """What a stage switches for its whole process is switched back."""
-    deterministic = torch.are_deterministic_algorithms_enabled()
-    fills = torch.utils.deterministic.fill_uninitialized_memory
-    states = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    yield
-    torch.use_deterministic_algorithms(deterministic)
-    torch.utils.deterministic.fill_uninitialized_memory = fills
-    random.setstate(states[0])
-    np.random.set_state(states[1])  # noqa: NPY002
-    torch.set_rng_state(states[2])
+    with process_state_kept():
+        yield
 
 
 def test_seeds_are_the_same_on_every_machine_and_differ_between_stages_and_items():

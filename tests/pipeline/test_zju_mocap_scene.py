@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 from deblur_avatar.artifacts import Avatar, BlurryClip, Observations, Reference
 from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.imaging.mesh_rendering import View, cast_rays
+from tests.process_state import process_state_kept
 from tests.zju_sequence import SHAPES, write_sequence
 
 STAGES = Path(__file__).parents[2] / "stages"
@@ -23,6 +24,12 @@ def run_stage(stage, **arguments):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     module.main(**arguments)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def this_process():
+    with process_state_kept():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +47,8 @@ def folder(tmp_path_factory, tiny_parameters):
         },
         "blur": {"frames": "interpolated", "factor": 8, "window": 9, "light": "srgb"},
         "preprocess": {
-            "poses": "given", "masks": "given", "background": "none", "margin": 0.1,
-            "validation_stride": 10,
+            "poses": "given", "depth": "known", "masks": "given", "background": "none",
+            "margin": 0.1, "validation_stride": 10,
         },
     }  # fmt: skip
     smpl = {"source": "smpl", "file": str(sequence.smpl_file), "shape_components": SHAPES}

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from ruamel.yaml import YAML
 
 from deblur_avatar import run
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion
+from tests.process_state import process_state_kept
 
 ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("warmup", "trajectory", "fusion")
@@ -80,11 +80,8 @@ def chain(tmp_path_factory, observations, tiny):
 def this_process(monkeypatch):
     """Stages may run here too: what they switch for a process is switched back after them."""
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
-    before = torch.are_deterministic_algorithms_enabled()
-    fills = torch.utils.deterministic.fill_uninitialized_memory
-    yield
-    torch.use_deterministic_algorithms(before)
-    torch.utils.deterministic.fill_uninitialized_memory = fills
+    with process_state_kept():
+        yield
 
 
 @pytest.mark.parametrize("stage", STAGES)
