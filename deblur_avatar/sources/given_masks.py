@@ -1,7 +1,7 @@
 """Masks that a user made with another program: a folder of pictures, one for each frame.
 
 A pixel that is not black is person, whatever its value: label pictures count as well as 0 and 255.
-Soft masks with more than two values from 0 to 255 keep them as coverage. A palette's colours do not
+Grey pictures with many values up to white are soft masks and keep them as coverage. A palette's colours do not
 count, its indices do: index 0 is background.
 """
 
@@ -18,7 +18,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.sources.footage import PICTURES, files_in_order
 
 SAME_SHAPE = 0.02  # share by which a mask's aspect may differ from its frame's
-SOFT_VALUES = 16  # values from which on a mask is taken to be soft
+SOFT_VALUES, WHITE = 16, 250  # so many values up to there make a mask soft
 
 
 def read_masks(
@@ -53,12 +53,12 @@ def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
     try:
         with Image.open(path) as picture:
             values = np.array(picture)
-            alpha = picture.mode in ("LA", "RGBA", "PA")
+            mode = picture.mode
     except (OSError, UnidentifiedImageError, ValueError) as error:
         raise ArtifactError(f"{path} is not a picture: {error}") from None
     if values.ndim == 3:
         # The alpha channel of a mask is mostly solid; where there is colour, that counts.
-        colour = values[..., :-1] if alpha else values
+        colour = values[..., :-1] if mode in ("LA", "RGBA", "PA") else values
         values = colour.max(-1)
     height, width = values.shape
     if abs(width / height - size[0] / size[1]) > SAME_SHAPE * size[0] / size[1]:
@@ -66,7 +66,8 @@ def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
             f"{path} is {width} x {height}, of another shape than the frames ({size[0]} x {size[1]}"
             " as used); masks must show the whole frame"
         )
-    soft = values.dtype == np.uint8 and len(np.unique(values)) >= SOFT_VALUES
+    many = mode == "L" and len(np.unique(values)) >= SOFT_VALUES
+    soft = many and values.max() >= WHITE  # labels stay far below
     matte = values if soft else np.where(values > 0, 255, 0).astype(np.uint8)
     scaled = (
         matte if (width, height) == size else cv2.resize(matte, size, None, 0, 0, cv2.INTER_AREA)

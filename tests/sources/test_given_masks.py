@@ -55,6 +55,12 @@ def test_a_soft_mask_keeps_its_coverage(tmp_path: Path):
     assert (found.numpy() == soft).all()
 
 
+def test_twenty_labels_are_no_soft_mask(tmp_path: Path):
+    labels = np.tile(np.arange(SIZE[0], dtype=np.uint8), (SIZE[1], 1))
+    (found,) = read_masks(written(tmp_path / "m", Image.fromarray(labels)), (0,), 1, SIZE)
+    assert (found.numpy() == np.where(labels > 0, 255, 0)).all()
+
+
 def test_masks_are_those_of_the_frames_taken(tmp_path: Path):
     pictures = [mask() if index == 2 else mask(0) for index in range(4)]
     folder = written(tmp_path / "m", *map(Image.fromarray, pictures))
