@@ -417,13 +417,15 @@ def load_params(path: Path, key: str, kind: Any) -> Any:
 def read_params(path: Path) -> Any:
     """Read a parameter file; sections that it lacks come from the file that its `shared` names.
 
+    That file may name another in turn.
+
     Raises:
         ConfigError: if one of the two is missing or is not YAML.
     """
     content = read_yaml(path)
     if not isinstance(content, dict) or "shared" not in content:
         return content
-    below = read_yaml(Path(path).parent / parse(str, content["shared"], f"{path}: shared"))
+    below = read_params(Path(path).parent / parse(str, content["shared"], f"{path}: shared"))
     return {**below, **{key: value for key, value in content.items() if key != "shared"}}
 
 

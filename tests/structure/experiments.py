@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from deblur_avatar.config import read_yaml
 from deblur_avatar.pipeline.experiment import PARAMS, PIPELINE, experiment_pipeline
 
 ROOT = Path(__file__).parents[2]
@@ -9,8 +10,9 @@ MAKER = "make deps"
 
 
 def experiments(root: Path = ROOT) -> list[Path]:
-    """The folders of all experiments."""
-    return sorted(path.parent for path in (root / "experiments").glob(f"*/{PARAMS}"))
+    """The folders of all experiments: those whose parameters name a seed."""
+    files = (root / "experiments").rglob(PARAMS)
+    return sorted(path.parent for path in files if "seed" in read_yaml(path))
 
 
 def pipeline(folder: Path, root: Path = ROOT) -> str:

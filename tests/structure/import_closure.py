@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.scalarstring import ScalarString
 
-from tests.structure.experiments import write_pipelines
+from tests.structure.experiments import experiments, write_pipelines
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = "deblur_avatar"
@@ -75,10 +75,16 @@ def script_of(stage: CommentedMap, root: Path = ROOT) -> Path:
     return root / next(word for word in words if word.startswith("stages/"))
 
 
-def write_dependencies(root: Path = ROOT) -> list[str]:
-    """Bring dvc.yaml's lists of code up to date; returns the names of the stages that changed."""
+def own_pipelines(root: Path = ROOT) -> list[Path]:
+    """The pipelines that are written by hand: the root's and those that gather experiments."""
+    made = {folder / PIPELINE for folder in experiments(root)}
+    return [root / PIPELINE, *sorted(set((root / "experiments").glob(f"*/{PIPELINE}")) - made)]
+
+
+def write_dependencies(root: Path = ROOT, path: Path | None = None) -> list[str]:
+    """Bring a dvc.yaml's lists of code up to date; returns the names of the stages that changed."""
     yaml = _yaml()
-    path = root / PIPELINE
+    path = root / PIPELINE if path is None else path
     content = yaml.load(path)
     changed = []
     for name, entry in content["stages"].items():
@@ -174,7 +180,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=write_dependencies.__doc__)
     parser.add_argument("--write", action="store_true", help="change dvc.yaml")
     if parser.parse_args().write:
-        changed = write_dependencies() + write_pipelines()
+        changed = [name for path in own_pipelines() for name in write_dependencies(path=path)]
+        changed += write_pipelines()
         sys.stdout.write(f"dvc.yaml: {', '.join(changed) or 'nothing'} changed\n")
         return 0
     wrong = []

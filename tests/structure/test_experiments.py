@@ -10,6 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from deblur_avatar.config import ClipParams, check_parameters, load_params, read_params
+from deblur_avatar.pipeline.ablations import SECTIONS
 from tests.structure.experiments import (
     PARAMS,
     PIPELINE,
@@ -18,11 +19,18 @@ from tests.structure.experiments import (
     pipeline,
     write_pipelines,
 )
-from tests.structure.import_closure import stages
+from tests.structure.import_closure import (
+    code_dependencies,
+    is_code,
+    own_pipelines,
+    script_of,
+    stages,
+)
 
 BOUNDED = ["ceiling", "oracle", "blind"]
 ZJU = ROOT / "experiments/zju"
 WINDOWS = {377: 17, 392: 17, 393: 33, 394: 33, 386: 49, 387: 49}
+ABLATIONS = ROOT / "experiments/ablations"
 every_experiment = pytest.mark.parametrize("folder", experiments(), ids=lambda path: path.name)
 
 
@@ -34,7 +42,7 @@ def resolved(folder):
 @every_experiment
 def test_an_experiment_is_the_pipeline_at_the_root(folder):
     assert (folder / PIPELINE).read_text() == pipeline(folder), "run `make deps`"
-    assert set(resolved(folder)) == set(stages())
+    assert set(resolved(folder)) == set(read_params(folder / PARAMS).get("stages", stages()))
 
 
 @every_experiment
@@ -43,7 +51,9 @@ def test_an_experiment_writes_below_its_folder_alone(folder):
     for stage in resolved(folder).values():
         written = [next(iter(out)) if isinstance(out, dict) else out for out in stage["outs"]]
         assert all(path.startswith(f"{name}/") for path in written)
-        assert not re.search(r"(?<![\w/-])(data|metrics|reports|params\.yaml)", stage["cmd"])
+        reads = {path for path in stage["deps"] if not is_code(path)}
+        foreign = re.findall(r"(?<![\w/-])(?:data|metrics|reports|params\.yaml)\S*", stage["cmd"])
+        assert set(foreign) <= reads  # what the root's pipeline makes, where it is not made here
 
 
 @every_experiment
@@ -102,6 +112,28 @@ def test_a_missing_body_is_one_clear_line(tmp_path, model):
     assert done.stderr.splitlines()[-1].startswith("ConfigError")
     assert "smpl.is.tue.mpg.de" in done.stderr
     assert ("SMPL_MODEL" if model is None else model) in done.stderr
+
+
+def test_pipelines_that_gather_experiments_depend_on_the_code_they_run():
+    gathering = own_pipelines()[1:]
+    assert gathering == [ABLATIONS / PIPELINE]
+    for path in gathering:
+        for stage in resolved(path.parent).values():
+            assert [d for d in stage["deps"] if is_code(d)] == code_dependencies(script_of(stage))
+
+
+def test_the_ablations_are_the_papers_once_a_seed():
+    folders = [folder for folder in experiments() if folder.parent == ABLATIONS]
+    assert [read_params(folder / PARAMS)["seed"] for folder in folders] == [0, 1, 2]
+    (gathered,) = resolved(ABLATIONS).values()
+    wanted = {f"experiments/ablations/{folder.name}/metrics" for folder in folders}
+    assert wanted == {dep for dep in gathered["deps"] if not is_code(dep)}
+    methods = {run["method"] for run in read_params(folders[0] / PARAMS)["runs"].values()}
+    assert methods >= {method for section in SECTIONS for method in section.rows}
+    stage = resolved(folders[1])["trajectory"]
+    assert stage["params"][0] == {"experiments/ablations/seed_1/params.yaml": ["seed"]}
+    assert "data/preprocess/${item.scene}/${item.observations}" in stage["deps"]
+    assert "experiments/ablations/seed_1/data/trajectory/${key}" in stage["outs"]
 
 
 def test_a_pipeline_follows_the_root_and_its_own_parameters(tmp_path: Path):

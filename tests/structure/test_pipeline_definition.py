@@ -14,6 +14,7 @@ from tests.structure.import_closure import (
     expanded,
     import_closure,
     is_code,
+    own_pipelines,
     script_of,
     stages,
 )
@@ -140,8 +141,13 @@ def test_runs_and_warmups_are_named_after_what_they_are():
 
 
 def test_every_script_is_a_stage_and_has_its_module():
-    assert {script.stem for script in SCRIPTS} == set(STAGES)
-    for name in STAGES:
+    gathering = {
+        name
+        for path in own_pipelines()[1:]
+        for name in YAML(typ="safe", pure=True).load(path)["stages"]
+    }
+    assert {script.stem for script in SCRIPTS} == set(STAGES) | gathering
+    for name in {*STAGES, *gathering}:
         assert (ROOT / "deblur_avatar" / "pipeline" / f"{name}.py").is_file(), name
 
 

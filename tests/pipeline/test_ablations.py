@@ -1,0 +1,68 @@
+import json
+
+import pytest
+
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.pipeline.ablations import mean_and_spread, report_ablations
+
+
+def write(folder, seed, method, psnr):
+    path = folder / f"seed_{seed}" / "metrics" / "studio" / f"{method}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = {"scene": "studio", "method": method, "image": {"psnr": psnr, "lpips_vgg": None}}
+    path.write_text(json.dumps(content | {"cost": {"train_s": 100.0 + seed}}))
+
+
+@pytest.fixture
+def results(tmp_path):
+    for seed, gain in ((0, 1.0), (1, 2.0)):
+        write(tmp_path, seed, "oracle", 30.0 + seed)
+        write(tmp_path, seed, "blind", 26.0 + seed)
+        write(tmp_path, seed, "paper", 26.0 + seed + gain)
+    return tmp_path
+
+
+def test_numbers_are_means_and_spreads_over_seeds(results):
+    report = report_ablations(results, "studio", "quick")
+    paper = report.summary["methods"]["paper"]
+    assert paper["image_psnr"] == {"mean": 28.0, "spread": pytest.approx(2**0.5)}
+    assert paper["seeds"] == 2
+    assert "| full | 28.00 \u00b1 1.41 |" in report.tables
+
+
+def test_recovery_is_taken_within_each_seed(results):
+    report = report_ablations(results, "studio", "quick")
+    share = report.summary["methods"]["paper"]["recovery_psnr"]
+    assert share["mean"] == pytest.approx((0.25 + 0.5) / 2)
+
+
+def test_the_papers_numbers_stand_beside_marked_as_of_other_data(results):
+    report = report_ablations(results, "studio", "quick")
+    assert "30.24" in report.tables
+    assert "another data set" in report.tables
+    assert "another data set" in report.page
+    assert 'class="other">30.24' in report.page
+
+
+def test_what_nobody_ran_has_no_row_and_what_nobody_measured_no_number(results):
+    report = report_ablations(results, "studio", "quick")
+    assert "cubic" not in report.tables
+    assert "not measured" in report.tables
+
+
+def test_one_seed_has_no_spread():
+    assert mean_and_spread([3.0]) == (3.0, None)
+    assert mean_and_spread([None, None]) == (None, None)
+    assert mean_and_spread([1.0, None, 3.0]) == (2.0, pytest.approx(2**0.5))
+
+
+def test_no_results_at_all_are_refused(tmp_path):
+    with pytest.raises(ArtifactError, match="no results of studio"):
+        report_ablations(tmp_path, "studio", "quick")
+
+
+def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
+    report_ablations(results, "studio", "quick").save(tmp_path / "out")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "index.html", "tables.md", "summary.json",
+    }  # fmt: skip
