@@ -185,10 +185,18 @@ def test_an_array_class_of_a_file_allocates_nothing(tmp_path):
         load_arrays(path)
 
 
-def test_a_far_index_of_the_memo_is_refused_before_it_allocates(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "index"),
+    [
+        (b"\x80\x02}r\xff\xff\xff\x7f.", 2147483647),  # LONG_BINPUT
+        (b"\x80\x02}r\x04\x00\x00\x00.", 4),
+        (b"(dp4\n.", 4),  # PUT
+    ],
+)
+def test_a_far_index_of_the_memo_is_refused_before_it_allocates(tmp_path, text, index):
     path = tmp_path / "file.pkl"
-    path.write_bytes(b"\x80\x02}r\xff\xff\xff\x7f.")  # LONG_BINPUT 2147483647
-    with pytest.raises(ArtifactError, match="an object is numbered 2147483647 among 2"):
+    path.write_bytes(text)
+    with pytest.raises(ArtifactError, match=f"an object is numbered {index} among 2"):
         load_arrays(path)
 
 

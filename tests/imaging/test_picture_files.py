@@ -65,6 +65,14 @@ def test_sixteen_bits_become_the_upper_eight(tmp_path, picture):
     np.testing.assert_array_equal(read_picture(tmp_path / "grey.png"), grey)
 
 
+def test_sixteen_bits_may_come_with_the_upper_byte_first(tmp_path, picture):
+    grey = picture[..., 0].astype(np.uint16) * 257
+    made = Image.frombytes("I;16B", (7, 5), grey.astype(">u2").tobytes())
+    made.save(tmp_path / "grey.tiff")
+    read = read_picture(tmp_path / "grey.tiff")
+    np.testing.assert_array_equal(read, np.repeat(picture[..., :1], 3, axis=2))
+
+
 def test_grey_becomes_three_equal_channels(tmp_path, picture):
     Image.fromarray(picture[..., 1]).save(tmp_path / "grey.png")
     read = read_picture(tmp_path / "grey.png")
@@ -109,6 +117,7 @@ def test_a_mask_is_true_where_its_value_is_not_zero(tmp_path):
         "yes_or_no": Image.fromarray(person),
         "colours": Image.fromarray(np.dstack([0 * values, values, 0 * values])),
         "alpha": Image.fromarray(np.dstack([values, values, values, 0 * values + 255])),
+        "grey_alpha": Image.fromarray(np.dstack([values, 0 * values + 255]), mode="LA"),
     }
     for name, made in pictures.items():
         made.save(tmp_path / f"{name}.png")

@@ -161,6 +161,29 @@ def test_a_pipeline_follows_the_root_and_its_own_parameters(tmp_path: Path):
     assert stage["outs"][1] == {"experiments/small/metrics/${key}.json": {"cache": False}}
 
 
+@pytest.mark.parametrize("bodies", ["", "bodies: {}\n"])
+def test_bodies_are_the_root_s_unless_a_folder_has_its_own(tmp_path: Path, bodies: str):
+    folder = tmp_path / "experiments/small"
+    folder.mkdir(parents=True)
+    (folder / "params.yaml").write_text(f"seed: 1\nscenes: {{}}\n{bodies}")
+    (tmp_path / "dvc.yaml").write_text(
+        "stages:\n"
+        "  body:\n    cmd: body --out data/body\n    deps: []\n"
+        "    params: [bodies]\n    outs: [data/body]\n"
+        "  cut:\n    cmd: cut --body data/body --a-metrics data/cut\n    deps: [data/body]\n"
+        "    params: [scenes.one, methods.a]\n    outs: [data/cut]\n"
+    )
+    write_pipelines(tmp_path)
+    made = resolved(folder)
+    assert set(made) == ({"body", "cut"} if bodies else {"cut"})
+    body = "experiments/small/data/body" if bodies else "data/body"
+    cut = made["cut"]
+    assert cut["cmd"] == f"cut --body {body} --a-metrics experiments/small/data/cut"
+    assert cut["deps"] == [body]
+    assert cut["params"] == [{"experiments/small/params.yaml": ["scenes.one"]}, "methods.a"]
+    assert cut["outs"] == ["experiments/small/data/cut"]
+
+
 def test_lean_is_taken_apart_as_it_is_at_the_root():
     root, experiment = read_params(ROOT / PARAMS), read_params(ROOT / "experiments/lean" / PARAMS)
     for section, names in (("starts", ["lean"]), ("methods", ["lean", *BOUNDED])):

@@ -74,6 +74,12 @@ def test_dropped_and_repeated_frames_are_named(content, read, third):
     assert found.frame_numbers(range(3, 6), [0]) == order[3:]
 
 
+def test_frames_that_all_have_one_number_are_refused(content, read):
+    found = read(named(content, lambda f, c: f"Camera_B{c + 1}/000004.jpg"))
+    with pytest.raises(ArtifactError, match="frame 1 has number 4 after 4: .*missing or there twi"):
+        found.frame_numbers(range(3), [0])
+
+
 def test_a_camera_that_dropped_a_frame_is_named(content, read):
     late = named(content, lambda f, c: f"Camera_B{c + 1}/{f + (c == 4 and f > 2):06d}.jpg")
     with pytest.raises(ArtifactError, match=r"frame 3: camera Camera_B5 shows number 4, Camera_B1"):

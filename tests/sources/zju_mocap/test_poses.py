@@ -1,5 +1,6 @@
 import dataclasses
 import logging
+import re
 
 import numpy as np
 import pytest
@@ -123,8 +124,16 @@ def test_a_body_that_stands_elsewhere_is_told(root, smpl, caplog):
     assert "mm from" in caplog.text
 
 
-def test_parameters_reached_through_a_link_are_refused(root, smpl, tmp_path):
-    (root / "new_params/2.npy").rename(tmp_path / "2.npy")
-    (root / "new_params/2.npy").symlink_to(tmp_path / "2.npy")
-    with pytest.raises(ArtifactError, match=r"'new_params/2.npy' leads out of"):
+def test_the_last_frame_s_vertices_are_compared_too(sequence, root, smpl, caplog):
+    np.save(root / "new_vertices/5.npy", sequence.vertices[5] + [0, 0, 0.5])
+    with caplog.at_level(logging.WARNING):
+        read_poses(root, NUMBERS, smpl)
+    assert re.search(r"frame 5: the body is 500\.\d\d mm from .*new_vertices/5\.npy", caplog.text)
+
+
+@pytest.mark.parametrize("name", ["new_params/2.npy", "new_vertices/0.npy"])
+def test_files_reached_through_a_link_are_refused(root, smpl, tmp_path, name):
+    (root / name).rename(tmp_path / "elsewhere.npy")
+    (root / name).symlink_to(tmp_path / "elsewhere.npy")
+    with pytest.raises(ArtifactError, match=f"'{name}' leads out of"):
         read_poses(root, NUMBERS, smpl)
