@@ -163,7 +163,8 @@ class AvatarFit:
                 pictures["fused"] = self._fused(pictures, dressed, target, supervision)
         alpha = 1 - (1 - covers).prod(0) if mask == "union" else covers.mean(0)
         still = supervision == RELEASED and self._is_still(iteration, index)
-        weights = shares(supervision, iteration / self._scale, still)
+        blended = self.fusion is not None
+        weights = shares(supervision, iteration / self._scale, still, blended)
         compared = [(weight, pictures[name]) for name, weight in weights.items()]
         terms = self._losses(iteration, compared, alpha, target)
         middle = len(means) // 2

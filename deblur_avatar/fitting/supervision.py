@@ -14,11 +14,16 @@ RELEASED: Final = "released"
 STILL_SHARE: Final = 0.1  # of the frames count as still, those that turn least (released code)
 MOVING_WEIGHT: Final = 0.1  # of C in frames that move
 BOTH_UNTIL: Final = 5000  # B is compared too
-FUSED_FROM: Final = 7000
 
 
-def shares(supervision: str, iteration: float, still: bool) -> dict[str, float]:
+def shares(supervision: str, iteration: float, still: bool, blended: bool) -> dict[str, float]:
     """Weights of the renders: sharp (C), mean (B), fused (F).
+
+    Args:
+        supervision: by name.
+        iteration: of the paper's 15,000.
+        still: whether the frame counts as still.
+        blended: whether there is a fusion network: in the last stage, from iteration 7,000.
 
     Source: the released code's schedule of losses (xianrui-luo/deblur_avatar, train.py). After
     5,000 iterations its B is compared no more, and after 7,000 it is part of F without gradient.
@@ -28,7 +33,7 @@ def shares(supervision: str, iteration: float, still: bool) -> dict[str, float]:
     if iteration < BOTH_UNTIL:
         return {"sharp": 1.0, "mean": 1.0}
     weights = {"sharp": 1.0 if still else MOVING_WEIGHT}
-    return weights | ({"fused": 1.0} if iteration >= FUSED_FROM else {})
+    return weights | ({"fused": 1.0} if blended else {})
 
 
 def still_frames(trajectory: Trajectory, frames: list[int]) -> set[int]:

@@ -144,7 +144,7 @@ def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
     if not seeds:
         raise ArtifactError(f"no results of {scene} below {folder}; run `dvc repro` there")
     about = f"Scene {scene}, schedule {schedule}, novel views, {len(seeds)} seeds: mean ± spread."
-    tables = [_table(section, seeds) for section in SECTIONS]
+    tables = [table for section in SECTIONS if len((table := _table(section, seeds))[1]) > 1]
     text = f"{about} Grey columns: the paper's own numbers, of another data set.\n\n"
     text += "\n".join(_markdown(section, table) for section, table in tables)
     return AblationReport(_page(about, tables), text, _summary(seeds, scene, schedule))

@@ -277,7 +277,7 @@ def test_every_motion_of_an_exposure_learns_from_the_mean(begin, motion):
 
 @pytest.mark.parametrize("fused", [False, True])
 def test_the_released_code_compares_sharp_and_mean_then_sharp_and_fused(begin, fused):
-    fit = begin(motion="released", fused=True, last=150, noise=0.3)
+    fit = begin(motion="released", fused=fused, last=150, noise=0.3)
     weights = {"sharp": 0.1, "fused": 1.0} if fused else {"sharp": 1.0, "mean": 1.0}
     seen = []
     compare = fit._losses
