@@ -97,6 +97,8 @@ def observations(size: int) -> Observations:
         light="srgb",
         train=tuple(range(FRAMES)),
         validation=(),
+        depth_known=True,
+        hidden=0.5,
     )
 
 
