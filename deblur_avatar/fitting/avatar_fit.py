@@ -7,10 +7,8 @@ something starts count in the paper's 15,000 iterations and are scaled to the sc
 import logging
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts import Checkpoint, Observations
@@ -24,8 +22,10 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import losses
 from deblur_avatar.fitting.densify import Densifier
 from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.fitting.optimisers import gaussian_optimiser, network_optimiser
 from deblur_avatar.fitting.supervision import BOTH_UNTIL, RELEASED, shares, still_frames
 from deblur_avatar.fitting.surface_height import Feet, feet_of
+from deblur_avatar.fitting.targets import Target, target_of
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
 logger = logging.getLogger(__name__)
@@ -38,19 +38,8 @@ NEIGHBOUR_REFRESH = 100  # steps; canonical positions move by less than their sp
 SKINNING_SAMPLES = 1024  # points on the body a step (3DGS-Avatar)
 PRETRAIN_SAMPLES = 4096
 PRETRAIN_RATE = 2e-3
-BOX_MARGIN = 8  # pixels around the person in which structure is compared
-ADAM_EPSILON = 1e-15  # 3DGS: gradients of means are tiny
 HEIGHT = 0.01  # metres off the body that weigh like a unit of a raw colour
 POSE_NOISE_SHARE = 0.5  # of the steps have noise on the conditioning pose (3DGS-Avatar)
-
-
-@dataclass(frozen=True)
-class Target:
-    """One training frame: what was seen, and where the person is in it."""
-
-    image: Float[Tensor, "H W 3"]
-    matte: Float[Tensor, "H W"]
-    box: tuple[int, int, int, int]
 
 
 class AvatarFit:
@@ -80,7 +69,7 @@ class AvatarFit:
         self._viewmat = observations.cameras.viewmats[camera].to(device)
         self._depth_known, self._hidden = observations.depth_known, observations.hidden
         self._targets = {
-            index: _target(observations, index, device)
+            index: target_of(observations, index, device)
             for index in observations.train
             if observations.weights[index] > 0
         }
@@ -91,8 +80,8 @@ class AvatarFit:
         self._feet: Feet | None = None
         self._still: set[int] | None = None
         self._areas = face_areas(model.canonical_vertices, model.body.faces.to(device))
-        self._gaussian_optimiser = _gaussian_optimiser(model, params)
-        self._network_optimiser = _network_optimiser(model, trajectory, fusion, params)
+        self._gaussian_optimiser = gaussian_optimiser(model, params)
+        self._network_optimiser = network_optimiser(model, trajectory, fusion, params)
         self._network_rates = [group["lr"] for group in self._network_optimiser.param_groups]
         self._densifier = Densifier(len(model.gaussians), device)
 
@@ -283,11 +272,11 @@ class AvatarFit:
         weights = self._params.losses
         images = [(share, encode(image, self.model.light)) for share, image in compared]
         apart = [share * losses.photometric(image, target.image) for share, image in images]
-        terms = {"l1": weights.l1 * torch.stack(apart).sum()}
+        terms = {"l1": weights.l1 * target.weight * torch.stack(apart).sum()}
         if weights.structure > 0:
             edges = [s * losses.structure(image, target.image, target.box) for s, image in images]
-            terms["structure"] = weights.structure * torch.stack(edges).sum()
-        terms["mask"] = weights.mask * losses.coverage(alpha, target.matte)
+            terms["structure"] = weights.structure * target.weight * torch.stack(edges).sum()
+        terms["mask"] = weights.mask * target.weight * losses.coverage(alpha, target.matte)
         if self._params.model.skinning is not None:
             early = iteration <= self._params.optimiser.skinning_switch * self._scale
             share = weights.skinning_early if early else weights.skinning_late
@@ -417,69 +406,3 @@ class AvatarFit:
 
     def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
         return {"gaussians": self._gaussian_optimiser, "networks": self._network_optimiser}
-
-
-def _target(observations: Observations, index: int, device: torch.device) -> Target:
-    image = observations.frames[index].to(device).float() / 255
-    matte = observations.mattes[index].to(device).float() / 255
-    rows, columns = torch.nonzero(matte > 0, as_tuple=True)
-    if len(rows) == 0:
-        raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
-    height, width = matte.shape
-    box = (
-        max(int(columns.min()) - BOX_MARGIN, 0),
-        max(int(rows.min()) - BOX_MARGIN, 0),
-        min(int(columns.max()) + BOX_MARGIN + 1, width),
-        min(int(rows.max()) + BOX_MARGIN + 1, height),
-    )
-    return Target(image, matte, box)
-
-
-def _gaussian_optimiser(model: AvatarModel, params: StartParams) -> torch.optim.Adam:
-    rates = params.optimiser
-    chosen = {
-        "means": rates.means,
-        "quats": rates.quats,
-        "log_scales": rates.scales,
-        "opacity_logits": rates.opacities,
-        "features": rates.features,
-    }
-    groups = [
-        {"params": [value], "lr": chosen[name], "name": name}
-        for name, value in model.gaussians.named_parameters()
-    ]
-    return torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
-
-
-def _network_optimiser(
-    model: AvatarModel,
-    trajectory: Trajectory,
-    fusion: FusionNetwork | None,
-    params: StartParams,
-) -> torch.optim.Adam:
-    rates = params.optimiser
-    groups: list[dict[str, object]] = []
-    for prefix, rate in (
-        ("skinning", rates.rigid),
-        ("nonrigid", rates.nonrigid),
-        ("pose_encoder", rates.nonrigid),
-        ("color", rates.color),
-    ):
-        for name, value in model.named_parameters():
-            if name.startswith(f"{prefix}."):
-                decay = rates.latent_decay if "latents" in name else 0.0
-                named = {"name": f"network.{name}", "weight_decay": decay}
-                groups.append({"params": [value], "lr": rate} | named)
-    for name, value in trajectory.named_parameters():
-        if value.requires_grad:
-            rate = {"transl": rates.transl, "shutter": rates.shutter}.get(
-                name.rpartition("_")[2], rates.poses
-            )
-            groups.append({"params": [value], "lr": rate, "name": f"motion.{name}"})
-    if fusion is not None:
-        for name, value in fusion.named_parameters():
-            groups.append({"params": [value], "lr": rates.fusion, "name": f"fusion.{name}"})
-    if not groups:
-        still = torch.nn.Parameter(torch.zeros(1))
-        groups.append({"params": [still], "lr": 0.0, "name": "nothing"})
-    return torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)

@@ -614,6 +614,14 @@ def test_depth_is_free_where_the_first_poses_do_not_know_it(begin, start, sharpe
     assert "depth" not in fit._priors(2, fit.trajectory(2))
 
 
+def test_a_frame_that_is_trusted_less_counts_less(begin, start, sharpened, observations):
+    half = sharpened(weights=torch.full_like(observations.weights, 0.5))
+    whole, less = (begin(seen=seen).step(1, "sharp", "mean") for seen in (observations, half))
+    for name in ("l1", "structure", "mask"):
+        assert less[name] == pytest.approx(whole[name] / 2, rel=1e-6)
+    assert less["skinning"] == pytest.approx(whole["skinning"], rel=1e-6)
+
+
 def test_motion_that_remembers_no_start_is_not_held_back(begin, start):
     fit = begin(params=changed(start, "losses", depth=2.0, anchor=1.0), motion="pair")
     assert fit._priors(2, fit.trajectory(2)) == {}
