@@ -9,7 +9,7 @@ from deblur_avatar.fitting.supervision import shares, still_frames
 @pytest.mark.parametrize("supervision", ["sharp", "mean", "fused"])
 def test_a_plain_supervision_compares_one_render_throughout(supervision):
     for iteration in (0, 4000, 14000):
-        assert shares(supervision, iteration, False, True) == {supervision: 1.0}
+        assert shares(supervision, float(iteration), False, True) == {supervision: 1.0}
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_a_plain_supervision_compares_one_render_throughout(supervision):
     ],
 )
 def test_the_released_code_changes_what_it_compares(iteration, still, wanted):
-    assert shares("released", iteration, still, blended=iteration >= 7000) == wanted
+    assert shares("released", float(iteration), still, blended=iteration >= 7000) == wanted
 
 
 def test_a_tenth_of_the_frames_are_still_those_that_turn_least(swinging):
