@@ -186,6 +186,24 @@ class PreprocessParams(Params):
     validation_stride: Annotated[int, Field(ge=2)]  # every so-manieth frame is set aside
 
 
+# --- predeblur ----------------------------------------------------------------------------------
+
+
+class PredeblurParams(Params):
+    """Deblurring in the picture, for a baseline (imaging/deconvolution.py).
+
+    `given` is a folder of frames that another program has deblurred, and may hold
+    `${VARIABLE:-default}`; empty for the classical method, which the rest is for.
+    """
+
+    given: str
+    lengths: Annotated[tuple[Positive, ...], Field(min_length=1)]  # of streaks tried, pixels
+    angles: Count  # directions tried
+    balance: Positive  # smoothness against closeness
+    surroundings: Positive  # pixels, of the window in which the matte is judged
+    gain: Fraction  # by which the matte must become clearer
+
+
 # --- check --------------------------------------------------------------------------------------
 
 
@@ -368,7 +386,7 @@ class WarmupParams(Params):
     """A start on one scene's frames."""
 
     scene: str
-    observations: Literal["exact", "sharp", "blurred"]
+    observations: Literal["exact", "sharp", "blurred", "deblurred"]
     start: str
 
 
@@ -376,7 +394,7 @@ class RunParams(Params):
     """One method on one scene: which frames it sees and which warm-up it goes on from."""
 
     scene: str
-    observations: Literal["exact", "sharp", "blurred"]
+    observations: Literal["exact", "sharp", "blurred", "deblurred"]
     start: str
     method: str
 
@@ -453,6 +471,7 @@ def check_parameters(path: Path) -> None:
         "starts": StartParams,
         "methods": MethodParams,
         "scenes": SceneParams,
+        "predeblur": PredeblurParams,
         "warmups": WarmupParams,
         "runs": RunParams,
         "animations": AnimationParams,
@@ -463,6 +482,8 @@ def check_parameters(path: Path) -> None:
         for name in _section(content, path, section, dict):
             _section(content, path, f"{section}.{name}", kind)
     _section(content, path, f"schedules.{_section(content, path, 'schedule', str)}", dict)
+    for name in content["predeblur"].keys() - content["scenes"].keys():
+        raise ConfigError(f"{path}: predeblur.{name}: there is no scene {name!r}")
     named = {"scene": "scenes", "start": "starts", "method": "methods"}
     for section in ("warmups", "runs"):
         for name, entry in content[section].items():

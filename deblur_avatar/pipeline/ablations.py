@@ -98,6 +98,7 @@ SECTIONS = (
             "ceiling": "ceiling",
             "oracle": "oracle",
             "blind": "blind",
+            "predeblur": "deblurred in the picture, then blind",
             "paper": "paper, text",
             "released": "paper, released code",
             "lean": "lean",

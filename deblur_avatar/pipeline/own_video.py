@@ -183,12 +183,16 @@ def _with_method(
         "margin": 0.06,
     }
     run = f"{name}-{method}"
-    return content | {
-        "schedule": schedule,
-        "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],
-        "runs": {run: warmup | {"method": method}} | content["runs"],
-        "animations": {run: animation} | content["animations"],
-    }
+    return (
+        {"predeblur": {}}
+        | content
+        | {
+            "schedule": schedule,
+            "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],
+            "runs": {run: warmup | {"method": method}} | content["runs"],
+            "animations": {run: animation} | content["animations"],
+        }
+    )
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

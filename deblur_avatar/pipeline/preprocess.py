@@ -51,13 +51,14 @@ class Preprocessed:
     metrics: dict[str, Any]
 
     def save(self, folder: Path) -> None:
-        """Write `blurred`, `sharp` and `exact` below a folder; what is not known is not there."""
+        """Write `blurred`, `sharp` and `exact` below a folder; what is not known stays empty."""
         for name in ("blurred", "sharp", "exact"):
             observations: Observations | None = getattr(self, name)
             if observations is not None:
                 observations.save(folder / name)
-            elif (folder / name).exists():
-                shutil.rmtree(folder / name)  # of an earlier run that knew more
+            else:
+                shutil.rmtree(folder / name, ignore_errors=True)  # of a run that knew more
+                (folder / name).mkdir(parents=True)
 
 
 def preprocess(

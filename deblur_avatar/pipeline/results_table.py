@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 START = "initial"  # the poses before any fitting
-METHODS = (START, "ceiling", "oracle", "blind", "paper", "released", "lean")
+METHODS = (START, "ceiling", "oracle", "blind", "predeblur", "paper", "released", "lean")
 BOUNDS = ("ceiling", "oracle")
 NOT_MEASURED = "not measured"
 

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import subprocess
 import sys
@@ -92,6 +93,15 @@ def test_the_script_writes_three_sets_of_observations_and_their_metrics(folder: 
         assert (observations.train, observations.validation) == ((0, 2, 3), (1,))
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["frames"] == {"total": 5, "without_person": 0, "train": 3, "validation": 1}
+
+
+def test_what_a_clip_does_not_know_is_an_empty_folder(folder: Path):
+    run_stage(folder)
+    clip = dataclasses.replace(tiny_clip(Body.load(folder / "body")), exact=None)
+    clip.save(folder / "blur")
+    assert run_stage(folder).returncode == 0
+    assert list((folder / "preprocess" / "exact").iterdir()) == []
+    Observations.load(folder / "preprocess" / "sharp")
 
 
 def test_a_missing_clip_is_one_line_and_nothing_is_written(folder: Path):

@@ -1,0 +1,26 @@
+"""Deblur the frames of one scene in the picture, for the baseline that takes them for sharp."""
+
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Observations
+from deblur_avatar.config import PredeblurParams, load_params
+from deblur_avatar.pipeline.predeblur import measure_predeblur, predeblur
+
+
+def main(
+    scene: str, observations: Path, sharp: Path, out: Path, metrics: Path, params_file: Path
+) -> None:
+    """Turn blurred observations into deblurred ones; the sharp ones only measure the result."""
+    params = load_params(params_file, f"predeblur.{scene}", PredeblurParams)
+    seed = load_params(params_file, "seed", int)
+
+    with run.stage("predeblur", scene, seed):
+        blurred = Observations.load(observations)
+        deblurred, used = predeblur(blurred, params)
+        deblurred.save(out)
+        run.write_json(metrics, used | measure_predeblur(deblurred, blurred, sharp))
+
+
+if __name__ == "__main__":
+    run.command(main)
