@@ -164,7 +164,7 @@ def naive(fit: AvatarFit) -> Step:
         last = fit._schedule.fusion - STEPS + iteration
         terms = fit._losses(last, [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target)
         terms |= fit._isotropy(*posed)
-        fit._descend(last, torch.stack(list(terms.values())).sum())
+        fit.descent.step(last, torch.stack(list(terms.values())).sum())
 
     return step
 
@@ -188,7 +188,7 @@ def parts_of(fit: AvatarFit, step: Step) -> dict[str, Any]:
         (fit.model, "dress", "networks"), (fit.model, "colors", "networks"),
         (fit, "_transforms", "skinning"), (fit, "_rasterize", "rasterize"),
         (fit, "_losses", "losses"), (fit, "_isotropy", "losses"), (fit, "_evenness", "losses"),
-        (fit, "_descend", "optimiser"), (fit, "_densify", "optimiser"),
+        (fit.descent, "step", "optimiser"), (fit, "_densify", "optimiser"),
         (fit.trajectory, "forward", "skinning"), (fit.fusion, "forward", "networks"),
     ]  # fmt: skip
     for owner, method, part in named:

@@ -225,6 +225,18 @@ class ScheduleParams(Params):
     gaussians: Count
     image_height: Annotated[int, Field(ge=8)]  # pixels
 
+    def halvings(self, count: int) -> frozenset[int]:
+        """Iterations at 1/2, 1/4, 1/8 ... of a run, and at its stages' ends; none for a count of 0.
+
+        Raises:
+            ConfigError: if the count is negative.
+        """
+        if count < 0:
+            raise ConfigError(f"snapshots: wanted 0 or more, got {count}")
+        halves = (round(self.fusion / 2**power) for power in range(1, count + 1))
+        ends = (self.warmup, self.trajectory, self.fusion) if count else ()
+        return frozenset(halves) | frozenset(ends)
+
     @model_validator(mode="after")
     def _in_order(self) -> "ScheduleParams":
         if not self.warmup < self.trajectory < self.fusion:
@@ -477,6 +489,7 @@ def check_parameters(path: Path) -> None:
         "animations": AnimationParams,
     }
     _section(content, path, "seed", int)
+    _section(content, path, "snapshots", int)
     _section(content, path, "check", CheckParams)
     for section, kind in sections.items():
         for name in _section(content, path, section, dict):

@@ -1,4 +1,4 @@
-"""The two ways in which a caller of the pipeline can be wrong."""
+"""The ways in which a run of the pipeline can end early; each is one line and exit code 1."""
 
 
 class ConfigError(ValueError):
@@ -7,3 +7,7 @@ class ConfigError(ValueError):
 
 class ArtifactError(ValueError):
     """A file that is missing, damaged, of another version or of the wrong content."""
+
+
+class FittingError(ArithmeticError):
+    """Numbers that left the range in which fitting can go on; says which."""

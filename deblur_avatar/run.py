@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ class Context:
 def command(main: Callable[..., None]) -> None:
     """Run a stage's `main` with its parameters as command-line options, all required.
 
-    A caller's mistake (`ConfigError`, `ArtifactError`) becomes one line and exit code 1.
+    What a caller can mend (deblur_avatar/errors.py) becomes one line and exit code 1.
     """
     parser = argparse.ArgumentParser(description=inspect.getdoc(main))
     for name, parameter in inspect.signature(main).parameters.items():
@@ -54,7 +54,7 @@ def command(main: Callable[..., None]) -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         main(**arguments)
-    except (ConfigError, ArtifactError) as error:
+    except (ConfigError, ArtifactError, FittingError) as error:
         sys.stderr.write(f"{type(error).__name__}: {error}\n")
         raise SystemExit(1) from None
 
@@ -135,12 +135,12 @@ def peak_memory_mb() -> float:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write numbers as JSON in one move, rounded to 6 significant digits; NaN becomes null."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f".{path.name}.part")
-    scratch.write_text(json.dumps(_rounded(content), indent=1) + "\n")
-    scratch.replace(path)
+    """Write numbers as JSON in one move, rounded to 6 significant digits; NaN becomes null.
+
+    Raises:
+        ArtifactError: if the disk refuses.
+    """
+    write_text(path, json.dumps(_rounded(content), indent=1) + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -159,12 +159,21 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one move."""
+    """Write a text file in one move: whole or not at all.
+
+    Raises:
+        ArtifactError: if the disk refuses.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.name}.part")
-    scratch.write_text(text)
-    scratch.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch.write_text(text)
+        scratch.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise ArtifactError(f"cannot write {path}: {error}") from error
 
 
 def _rounded(value: Any) -> Any:

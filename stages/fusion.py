@@ -4,7 +4,8 @@ from pathlib import Path
 
 from deblur_avatar import run
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
-from deblur_avatar.config import FusionParams, ScheduleParams, StartParams, load_params
+from deblur_avatar.config import FusionParams, StartParams, load_params
+from deblur_avatar.pipeline.fitting_stage import fitting_stage
 from deblur_avatar.pipeline.fusion import fuse
 
 
@@ -13,24 +14,21 @@ def main(
     params_file: Path,
 ) -> None:  # fmt: skip
     """Finish the avatar and its motion."""
-    schedule_name = load_params(params_file, "schedule", str)
-    schedule = load_params(params_file, f"schedules.{schedule_name}", ScheduleParams)
-    with run.stage("fusion", out.name, load_params(params_file, "seed", int)) as context:
+    begun = load_params(params_file, f"starts.{start}", StartParams)
+    params = load_params(params_file, f"methods.{method}.fusion", FusionParams)
+    inputs = [observations, trajectory]
+    with fitting_stage("fusion", out, params_file, [begun, params], inputs) as stage:
         avatar, motion, cost = fuse(
             Observations.load(observations),
             Avatar.load(trajectory / "avatar"),
             Motion.load(trajectory / "motion"),
             Checkpoint.load(trajectory / "checkpoint"),
-            load_params(params_file, f"starts.{start}", StartParams),
-            load_params(params_file, f"methods.{method}.fusion", FusionParams),
-            schedule,
-            device=context.device,
-            generator=context.generator,
-            report=run.fitting_progress(f"fusion {out.name}", schedule.fusion),
-        )
+            begun, params, stage.schedule, device=stage.device, generator=stage.generator,
+            report=stage.report, folder=stage.folder,
+        )  # fmt: skip
         avatar.save(out / "avatar")
         motion.save(out / "motion")
-        run.write_json(metrics, cost | {"peak_memory_mb": run.peak_memory_mb()})
+        stage.finish(metrics, cost)
 
 
 if __name__ == "__main__":

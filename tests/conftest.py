@@ -146,7 +146,7 @@ def tiny_parameters() -> dict[str, Any]:
     network = {"hidden": [8], "frame_codes": 4, "color_features": 4, "pose": True}
     content["methods"]["paper"]["fusion"]["network"] = network
     ends = {"warmup": 6, "trajectory": 12, "fusion": 18}
-    content["schedule"] = "tiny"
+    content["schedule"], content["snapshots"] = "tiny", 0
     content["schedules"] = {"tiny": ends | {"gaussians": 80, "image_height": SIZE}}
     return content
 

@@ -4,7 +4,7 @@ Conventions. Iterations count from 1 over all three stages of a run. Settings th
 something starts count in the paper's 15,000 iterations and are scaled to the schedule.
 """
 
-import logging
+import copy
 import time
 from collections.abc import Callable, Mapping
 
@@ -20,19 +20,17 @@ from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import ScheduleParams, StartParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import losses
-from deblur_avatar.fitting.densify import Densifier
+from deblur_avatar.fitting.densify import Densifier, replace_gaussians
+from deblur_avatar.fitting.descent import PAPER_ITERATIONS, Descent
 from deblur_avatar.fitting.fusion_network import FusionNetwork
-from deblur_avatar.fitting.optimisers import gaussian_optimiser, network_optimiser
+from deblur_avatar.fitting.run_folder import Progress, RunFolder, Snapshot
 from deblur_avatar.fitting.supervision import BOTH_UNTIL, RELEASED, shares, still_frames
 from deblur_avatar.fitting.surface_height import Feet, feet_of
 from deblur_avatar.fitting.targets import Target, target_of
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
-logger = logging.getLogger(__name__)
-
 Report = Callable[[int, Mapping[str, float]], None]
 
-PAPER_ITERATIONS = 15_000  # arXiv 2501.13335, sec. IV-A
 ISOTROPY_NEIGHBOURS = 4  # 3DGS-Avatar: five nearest, the point itself among them
 NEIGHBOUR_REFRESH = 100  # steps; canonical positions move by less than their spacing in between
 SKINNING_SAMPLES = 1024  # points on the body a step (3DGS-Avatar)
@@ -67,6 +65,7 @@ class AvatarFit:
         camera = observations.train_camera
         self._K = observations.cameras.Ks[camera].to(device)
         self._viewmat = observations.cameras.viewmats[camera].to(device)
+        self._timestamps = observations.timestamps
         self._depth_known, self._hidden = observations.depth_known, observations.hidden
         self._targets = {
             index: target_of(observations, index, device)
@@ -80,9 +79,7 @@ class AvatarFit:
         self._feet: Feet | None = None
         self._still: set[int] | None = None
         self._areas = face_areas(model.canonical_vertices, model.body.faces.to(device))
-        self._gaussian_optimiser = gaussian_optimiser(model, params)
-        self._network_optimiser = network_optimiser(model, trajectory, fusion, params)
-        self._network_rates = [group["lr"] for group in self._network_optimiser.param_groups]
+        self.descent = Descent(model, trajectory, fusion, params, schedule)
         self._densifier = Densifier(len(model.gaussians), device)
 
     def pretrain_skinning(self, iterations: int) -> None:
@@ -101,7 +98,16 @@ class AvatarFit:
             optimiser.step()
             decay.step()
 
-    def run(self, first: int, last: int, supervision: str, mask: str, report: Report) -> float:
+    def run(
+        self,
+        first: int,
+        last: int,
+        supervision: str,
+        mask: str,
+        report: Report,
+        folder: RunFolder | None = None,
+        spent: float = 0.0,
+    ) -> float:
         """Optimise from iteration `first` to `last` inclusive; returns seconds spent.
 
         Args:
@@ -112,17 +118,32 @@ class AvatarFit:
                 released code.
             mask: which coverage is compared with the matte: mean, union or centre.
             report: called after every iteration with its losses.
+            folder: where to go on from, to save to now and then, and to keep snapshots in. What
+                that takes is not counted.
+            spent: seconds before the first iteration, to be counted too.
+
+        Raises:
+            FittingError: if too many steps had to be left out because of their numbers.
         """
-        begin = time.perf_counter()
+        if folder is not None and folder.progress is not None:
+            self._go_on(folder.progress)
+            first, spent = folder.progress.iteration + 1, folder.progress.seconds
         for iteration in range(first, last + 1):
+            # What is looked up is looked up anew in such a step, so that it need not be saved.
+            if folder is not None and iteration % NEIGHBOUR_REFRESH == 0 and folder.due():
+                folder.save(iteration - 1, spent, self.descent.left_out, self._state())
+            begin = time.perf_counter()
             report(iteration, self.step(iteration, supervision, mask))
+            spent += time.perf_counter() - begin
+            if folder is not None and folder.wants(iteration):
+                folder.keep(iteration, spent, self._snapshot(iteration))
         if self._params.model.color is not None:
             self.model.color.lend(list(self._targets))
-        return time.perf_counter() - begin
+        return spent
 
     def step(self, iteration: int, supervision: str, mask: str) -> dict[str, float]:
         """One iteration on one random frame."""
-        self._schedule_rates(iteration)
+        self.descent.set_rates(iteration)
         if iteration % NEIGHBOUR_REFRESH == 0:
             self._look_up_again()
         index = self._next_frame()
@@ -160,24 +181,21 @@ class AvatarFit:
         terms |= self._isotropy(means[middle], covars[middle])
         terms |= self._evenness() | self._priors(index, instants)
         total = torch.stack(list(terms.values())).sum()
-        self._descend(iteration, total)
-        self._densify(iteration, drawn, target)
+        if self.descent.step(iteration, total):
+            self._densify(iteration, drawn, target)
         return {name: float(value.detach()) for name, value in terms.items()}
+
+    def cost(self, seconds: float) -> dict[str, float]:
+        """What a stage's measurements say of it."""
+        gaussians = len(self.model.gaussians)
+        return {"seconds": seconds, "gaussians": gaussians, "left_out": self.descent.left_out}
 
     def checkpoint(self, iteration: int) -> Checkpoint:
         """What the next stage needs to go on as if nothing had happened.
 
         Not the order of frames and the random draws: each stage has its own.
         """
-        tensors: dict[str, Tensor] = {}
-        for name, optimiser in self._optimisers().items():
-            for group in optimiser.param_groups:
-                memory = optimiser.state.get(group["params"][0], {})
-                for key, value in memory.items():
-                    tensors[f"{name}.{group['name']}.{key}"] = value.cpu().clone()
-        for key, value in self._densifier.state().items():
-            tensors[f"densifier.{key}"] = value.cpu().clone()
-        return Checkpoint(iteration=iteration, tensors=tensors)
+        return Checkpoint(iteration=iteration, tensors=self._memory())
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Take over an earlier stage's memory; unknowns that are new start without any.
@@ -191,24 +209,55 @@ class AvatarFit:
                 f"checkpoint/1 remembers {held} Gaussians, the avatar has {wanted}: "
                 "take both from one run of one stage"
             )
-        for name, optimiser in self._optimisers().items():
-            for group in optimiser.param_groups:
-                parameter = group["params"][0]
-                prefix = f"{name}.{group['name']}."
-                memory = {
-                    key.removeprefix(prefix): value.clone().to(parameter.device)
-                    for key, value in checkpoint.tensors.items()
-                    if key.startswith(prefix)
-                }
-                if memory and memory["exp_avg"].shape == parameter.shape:
-                    optimiser.state[parameter] = memory
-        self._densifier.restore(
-            {
-                key.removeprefix("densifier."): value
-                for key, value in checkpoint.tensors.items()
-                if key.startswith("densifier.")
-            }
+        self._recall(checkpoint.tensors)
+
+    def _memory(self) -> dict[str, Tensor]:
+        held = {f"densifier.{key}": value for key, value in self._densifier.state().items()}
+        return self.descent.memory() | {key: value.cpu().clone() for key, value in held.items()}
+
+    def _recall(self, tensors: dict[str, Tensor]) -> None:
+        self.descent.recall(tensors)
+        self._densifier.restore(_below("densifier.", tensors))
+
+    def _modules(self) -> dict[str, torch.nn.Module]:
+        modules = {"model.": self.model, "trajectory.": self.trajectory}
+        return modules if self.fusion is None else modules | {"fusion.": self.fusion}
+
+    def _state(self) -> dict[str, Tensor]:
+        """All that the next step depends on, except for what it looks up anew."""
+        tensors = self._memory()
+        for prefix, module in self._modules().items():
+            tensors |= {prefix + key: value.cpu() for key, value in module.state_dict().items()}
+        tensors["frames_to_come"] = torch.tensor(self._queue, dtype=torch.long)
+        tensors["generator"] = self._generator.get_state()
+        if self._still is not None:
+            tensors["still_frames"] = torch.tensor(sorted(self._still), dtype=torch.long)
+        return tensors
+
+    def _go_on(self, progress: Progress) -> None:
+        """Become the fit that `_state` described."""
+        tensors = progress.tensors
+        gaussians = self.model.gaussians
+        none = torch.zeros(len(gaussians), dtype=torch.bool, device=self._device)
+        replace_gaussians(
+            gaussians, self.descent.gaussians, none, [_below("model.gaussians.", tensors)]
         )
+        for prefix, module in self._modules().items():
+            module.load_state_dict(_below(prefix, tensors))
+        self._recall(tensors)
+        self.descent.left_out = progress.left_out
+        self._queue = tensors["frames_to_come"].tolist()
+        self._generator.set_state(tensors["generator"])
+        if "still_frames" in tensors:
+            self._still = set(tensors["still_frames"].tolist())
+        self._look_up_again()
+
+    def _snapshot(self, iteration: int) -> Snapshot:
+        model = copy.deepcopy(self.model)  # what is lent, and what is looked up, is its own
+        if self._params.model.color is not None:
+            model.color.lend(list(self._targets))
+        motion = self.trajectory.to_artifact(model.betas, self._timestamps)
+        return Snapshot(avatar=model.to_artifact(iteration), motion=motion)
 
     def _dress(self, iteration: int, index: int, instants: Instants) -> Dressed:
         noise = None
@@ -349,22 +398,6 @@ class AvatarFit:
         wanted = (corners[..., None] * own).sum(1)
         return losses.skinning(self.model.weights_at(points), wanted)
 
-    def _descend(self, iteration: int, total: Tensor) -> None:
-        total.backward()
-        if iteration > self._params.optimiser.gaussians_start * self._scale:
-            self._gaussian_optimiser.step()
-        networks = [
-            parameter
-            for group in self._network_optimiser.param_groups
-            for parameter in group["params"]
-            if group["name"].startswith("network") and parameter.grad is not None
-        ]
-        if networks:
-            torch.nn.utils.clip_grad_norm_(networks, self._params.optimiser.clip)
-        self._network_optimiser.step()
-        self._gaussian_optimiser.zero_grad()
-        self._network_optimiser.zero_grad()
-
     def _densify(self, iteration: int, drawn: Rasterization, target: Target) -> None:
         params = self._params.densify
         if not params.start * self._scale < iteration < params.stop * self._scale:
@@ -373,7 +406,7 @@ class AvatarFit:
         self._densifier.observe(drawn.screen.means2d_grad, drawn.radii, width, height)
         if iteration % max(round(params.every * self._scale), 1) == 0:
             self._densifier.edit(
-                self.model.gaussians, self._gaussian_optimiser, params, self._generator
+                self.model.gaussians, self.descent.gaussians, params, self._generator
             )
             self._look_up_again()
 
@@ -381,19 +414,6 @@ class AvatarFit:
         """Forget who is next to whom and where on the body, because Gaussians have moved."""
         self._neighbours, self._feet = None, None
         self.model.look_up_again()
-
-    def _schedule_rates(self, iteration: int) -> None:
-        rates = self._params.optimiser
-        share = iteration / self._schedule.fusion
-        for group in self._gaussian_optimiser.param_groups:
-            if group["name"] == "means":
-                # Log-linear over twice the paper's run, as in the authors' code.
-                group["lr"] = rates.means * (rates.means_final / rates.means) ** (share / 2)
-        for group, rate in zip(
-            self._network_optimiser.param_groups, self._network_rates, strict=True
-        ):
-            if not group["name"].startswith("fusion."):
-                group["lr"] = rate * rates.final_share**share
 
     def _next_frame(self) -> int:
         if not self._queue:
@@ -404,5 +424,7 @@ class AvatarFit:
             self._queue = [frames[position] for position in order]
         return self._queue.pop()
 
-    def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"gaussians": self._gaussian_optimiser, "networks": self._network_optimiser}
+
+def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    found = tensors.items()
+    return {key.removeprefix(prefix): value for key, value in found if key.startswith(prefix)}

@@ -9,6 +9,7 @@ from deblur_avatar.config import FusionParams, ScheduleParams, StartParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
 from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.fitting.run_folder import RunFolder
 
 
 def fuse(
@@ -23,6 +24,7 @@ def fuse(
     device: torch.device,
     generator: torch.Generator,
     report: Report,
+    folder: RunFolder | None = None,
 ) -> tuple[Avatar, Motion, dict[str, float]]:
     """Finish the avatar and its motion.
 
@@ -48,8 +50,8 @@ def fuse(
     fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator, network)
     fit.restore(checkpoint)
     seconds = fit.run(
-        schedule.trajectory + 1, schedule.fusion, params.supervision, params.mask, report
+        schedule.trajectory + 1, schedule.fusion, params.supervision, params.mask, report, folder
     )
     refined = trajectory.to_artifact(model.betas, observations.timestamps)
-    cost = {"seconds": seconds, "gaussians": len(model.gaussians)}
+    cost = fit.cost(seconds)
     return model.to_artifact(schedule.fusion), refined, cost

@@ -10,6 +10,7 @@ from deblur_avatar.avatar.motion import FrameMotion, Trajectory, instants
 from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
+from deblur_avatar.fitting.run_folder import RunFolder
 from deblur_avatar.fitting.virtual_poses import choose_counts
 
 
@@ -24,6 +25,7 @@ def fit_trajectory(
     device: torch.device,
     generator: torch.Generator,
     report: Report,
+    folder: RunFolder | None = None,
 ) -> tuple[Avatar, Motion, Checkpoint, dict[str, float]]:
     """Fit renders averaged over the exposure (or sharp ones, by `params`) to the frames.
 
@@ -36,11 +38,11 @@ def fit_trajectory(
     fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator)
     fit.restore(checkpoint)
     seconds = fit.run(
-        schedule.warmup + 1, schedule.trajectory, params.supervision, params.mask, report
+        schedule.warmup + 1, schedule.trajectory, params.supervision, params.mask, report, folder
     )
     choose_counts(trajectory, observations, params)
     motion = trajectory.to_artifact(model.betas, observations.timestamps)
-    cost = {"seconds": seconds, "gaussians": len(model.gaussians)}
+    cost = fit.cost(seconds)
     last = schedule.trajectory
     return model.to_artifact(last), motion, fit.checkpoint(last), cost
 

@@ -9,6 +9,7 @@ from deblur_avatar.avatar.model import AvatarModel
 from deblur_avatar.avatar.motion import FrameMotion
 from deblur_avatar.config import ScheduleParams, StartParams
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
+from deblur_avatar.fitting.run_folder import RunFolder
 
 
 def warm_up(
@@ -19,8 +20,11 @@ def warm_up(
     device: torch.device,
     generator: torch.Generator,
     report: Report,
+    folder: RunFolder | None = None,
 ) -> tuple[Avatar, Checkpoint, dict[str, float]]:
     """Fit sharp renders at the given poses to the frames, whatever blur they hold.
+
+    With a `folder` it goes on where an earlier run of the same was stopped.
 
     Returns:
         The avatar, its optimisers' memory, and what it cost.
@@ -33,8 +37,10 @@ def warm_up(
     ).to(device)  # fmt: skip
     trajectory = FrameMotion(observations.poses, refined=False).to(device)
     fit = AvatarFit(model, trajectory, observations, params, schedule, device, generator)
-    if params.model.skinning is not None:
+    begun = folder is not None and folder.progress is not None
+    if params.model.skinning is not None and not begun:
         fit.pretrain_skinning(params.model.skinning.pretrain)
-    fit.run(1, schedule.warmup, "sharp", "mean", report)
-    cost = {"seconds": time.perf_counter() - begin, "gaussians": len(model.gaussians)}
+    spent = time.perf_counter() - begin
+    seconds = fit.run(1, schedule.warmup, "sharp", "mean", report, folder, spent)
+    cost = fit.cost(seconds)
     return model.to_artifact(schedule.warmup), fit.checkpoint(schedule.warmup), cost

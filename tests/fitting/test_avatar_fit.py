@@ -327,7 +327,7 @@ def test_learning_rates_fall_as_the_papers_do(begin, start):
     fit.step(20, "fused", "mean")
     rates = {
         group["name"]: group["lr"]
-        for optimiser in fit._optimisers().values()
+        for optimiser in fit.descent.optimisers().values()
         for group in optimiser.param_groups
     }
     base = start.optimiser
@@ -342,7 +342,9 @@ def test_learning_rates_fall_as_the_papers_do(begin, start):
 
 def test_only_the_latent_codes_of_frames_decay(begin, start):
     fit = begin()
-    decays = {g["name"]: g["weight_decay"] for g in fit._optimisers()["networks"].param_groups}
+    decays = {
+        g["name"]: g["weight_decay"] for g in fit.descent.optimisers()["networks"].param_groups
+    }
     assert decays.pop("network.color.latents.weight") == start.optimiser.latent_decay
     assert set(decays.values()) == {0.0}
 

@@ -46,12 +46,15 @@ def loaded_sections(stage):
     main = main_of(script_of(stage))
     known = options_of(stage)
     sections = set()
-    for node in ast.walk(main):
+    nodes = list(ast.walk(main))
+    if any(isinstance(node, ast.Name) and node.id == "fitting_stage" for node in nodes):
+        nodes += ast.walk(ast.parse((ROOT / "deblur_avatar/pipeline/fitting_stage.py").read_text()))
+    for node in nodes:
         if isinstance(node, ast.Assign) and _key(node.value) is not None:
             (target,) = node.targets
             if isinstance(target, ast.Name) and isinstance(_key(node.value), ast.Constant):
                 known[target.id] = "${" + _key(node.value).value + "}"
-    for node in ast.walk(main):
+    for node in nodes:
         key = _key(node)
         if isinstance(key, ast.Constant):
             sections.add(key.value)
