@@ -53,7 +53,9 @@ class Body(Artifact):
     def validate(self) -> None:
         """Refuse trees that are not ordered, weights that do not sum to 1, faces out of range."""
         count = len(self.joints)
-        if len(self.parents) != count or any(p >= j for j, p in enumerate(self.parents)):
+        if not count or not len(self.vertices):
+            raise ValueError("a body has vertices and joints")
+        if len(self.parents) != count or not all(-1 <= p < j for j, p in enumerate(self.parents)):
             raise ValueError(f"parents must name {count} joints, each after its parent")
         if (self.lbs_weights.sum(1) - 1).abs().max() > 1e-3 or self.lbs_weights.min() < 0:
             raise ValueError("lbs_weights must be non-negative with rows that sum to 1")

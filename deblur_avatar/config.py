@@ -18,11 +18,15 @@ from pydantic import (
     model_validator,
 )
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import CollectionNode
 
 from deblur_avatar.errors import ConfigError
 
 P = TypeVar("P")
+
+MOST_BYTES = 1 << 18  # of a parameter file; the root's has 10 kB, a megabyte takes ten seconds
+MOST_NODES, MOST_DEPTH = 100_000, 50  # with every alias written out; the root's has 1,500, 8 deep
+MOST_SHARED = 8  # files that name each other in turn
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -33,7 +37,7 @@ Count = Annotated[int, Field(ge=1)]
 class Params(BaseModel):
     """A section: immutable, without defaults, closed to unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 # --- body ---------------------------------------------------------------------------------------
@@ -450,12 +454,23 @@ def read_params(path: Path) -> Any:
     That file may name another in turn.
 
     Raises:
-        ConfigError: if one of the two is missing or is not YAML.
+        ConfigError: if one of the two is missing or is not YAML, or they name each other.
     """
+    return _with_shared(Path(path), 0)
+
+
+def _with_shared(path: Path, above: int) -> Any:
+    if above > MOST_SHARED:
+        raise ConfigError(
+            f"{path}: shared leads through over {MOST_SHARED} files; does one lead back to another?"
+        )
     content = read_yaml(path)
     if not isinstance(content, dict) or "shared" not in content:
         return content
-    below = read_params(Path(path).parent / parse(str, content["shared"], f"{path}: shared"))
+    other = path.parent / parse(str, content["shared"], f"{path}: shared")
+    below = _with_shared(other, above + 1)
+    if not isinstance(below, dict):
+        raise ConfigError(f"{path}: shared: {other} must hold sections, got {below!r:.60}")
     return {**below, **{key: value for key, value in content.items() if key != "shared"}}
 
 
@@ -550,15 +565,42 @@ def read_yaml(path: Path) -> Any:
     """Read a YAML 1.2 file as DVC does (`1e-3` is a number, `no` is a word).
 
     Raises:
-        ConfigError: if it is missing or is not YAML.
+        ConfigError: if it is missing, is not YAML, or is or unfolds to far more than parameters.
     """
     try:
-        with Path(path).open() as file:
-            return YAML(typ="safe", pure=True).load(file)
+        with Path(path).open("rb") as file:
+            text = file.read(MOST_BYTES + 1)
+        if len(text) > MOST_BYTES:
+            raise ConfigError(f"{path} has over {MOST_BYTES >> 10} kB; is it a parameter file?")
+        # Nodes first: a few lines of aliases or merges can unfold to any size.
+        _unfolded(YAML(typ="safe", pure=True).compose(text), {}, 0)
+        return YAML(typ="safe", pure=True).load(text)
+    except ConfigError:
+        raise
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not YAML: {error}") from None
+    except Exception as error:
+        # Damaged YAML raises nearly anything from inside ruamel.yaml: a date without a month, say.
+        raise ConfigError(f"{path} is not YAML: {error or repr(error)}") from None
+
+
+def _unfolded(node: Any, known: dict[int, int | None], depth: int) -> int:
+    """How many nodes one stands for with every alias below it written out."""
+    if id(node) in known:
+        count = known[id(node)]
+        if count is None:
+            raise ValueError(f"the alias of line {node.start_mark.line + 1} contains itself")
+        return count
+    if depth > MOST_DEPTH:
+        raise ValueError(f"line {node.start_mark.line + 1} is nested over {MOST_DEPTH} levels deep")
+    known[id(node)] = None
+    content = node.value if isinstance(node, CollectionNode) else ()
+    below = [part for item in content for part in (item if isinstance(item, tuple) else (item,))]
+    count = 1 + sum(_unfolded(part, known, depth + 1) for part in below)
+    if count > MOST_NODES:
+        raise ValueError(f"its aliases stand for over {MOST_NODES} values")
+    known[id(node)] = count
+    return count
 
 
 def _tuples(value: Any) -> Any:
@@ -576,4 +618,4 @@ def _complaint(item: Any) -> str:
         return f"unknown key {key!r}"
     if item["type"] == "missing":
         return f"missing key {key!r}"
-    return f"{key}: {item['msg'][0].lower() + item['msg'][1:]}, got {item['input']!r}"
+    return f"{key}: {item['msg'][0].lower() + item['msg'][1:]}, got {item['input']!r:.200}"

@@ -151,7 +151,8 @@ def read_json(path: Path) -> dict[str, Any]:
     """
     try:
         content = json.loads(Path(path).read_text())
-    except (OSError, ValueError) as error:
+        json.dumps(content, allow_nan=False)  # JSON has no NaN; Python reads it
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"cannot read {path}: {error}; run `dvc repro`") from None
     if not isinstance(content, dict):
         raise ArtifactError(f"{path} holds a {type(content).__name__}; run `dvc repro`")

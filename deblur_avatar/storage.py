@@ -5,8 +5,10 @@ folder of 8-bit PNG files for each image stack. Nothing in it depends on the tim
 the process that wrote it, so equal content is equal bytes.
 """
 
+import contextlib
 import dataclasses
 import json
+import math
 import shutil
 import tempfile
 import types
@@ -18,6 +20,7 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import AbstractArray, jaxtyped
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
@@ -26,6 +29,7 @@ from deblur_avatar.errors import ArtifactError
 
 A = TypeVar("A", bound="Artifact")
 
+MOST_PIXELS = 100_000_000  # of one image: a file of a few kB can unfold to any size
 PNG_COMPRESSION = 3  # of 9: within 5 % of the size of 9 at a tenth of the time
 
 
@@ -147,6 +151,11 @@ class Artifact:
 
 
 _REMEDY = "run `dvc repro` or `dvc pull`"
+_LARGEST = 2**63 - 1  # of a number in a manifest
+_DTYPES = (
+    torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.bool,
+    torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64,
+)  # fmt: skip
 
 
 def _fields(cls: type) -> dict[str, Any]:
@@ -194,19 +203,32 @@ def _check(where: str, value: Any, kind: Any) -> None:
                 f"{value.dtype} {tuple(value.shape)}" if isinstance(value, Tensor) else type(value)
             )
             raise ArtifactError(f"{where} must be {array.__name__}, got {came}")
-        if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-            raise ArtifactError(f"{where} holds values that are not finite")
+        _check_finite(where, value)
         return
-    if kind == dict[str, Tensor]:
+    if kind == dict[str, Tensor] and isinstance(value, dict):
         for key, tensor in value.items():
-            if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
-                raise ArtifactError(f"{where}.{key} holds values that are not finite")
+            _check_finite(f"{where}.{key}", tensor)
         return
-    plain = tuple(typing.get_origin(option) or option for option in options)
-    if float in plain and isinstance(value, int) and not isinstance(value, bool):
-        return
-    if not isinstance(value, plain) or (isinstance(value, bool) and bool not in plain):
-        raise ArtifactError(f"{where} must be {kind}, got {type(value).__name__} {value!r}")
+    if not any(_is_plain(value, option) for option in options):
+        raise ArtifactError(f"{where} must be {kind}, got {type(value).__name__} {value!r:.80}")
+
+
+def _check_finite(where: str, value: Tensor) -> None:
+    if value.dtype not in _DTYPES:
+        raise ArtifactError(f"{where} is of {value.dtype}, which no artifact holds; {_REMEDY}")
+    if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+        raise ArtifactError(f"{where} holds values that are not finite")
+
+
+def _is_plain(value: Any, kind: Any) -> bool:
+    """Whether a JSON value is of a kind: finite numbers, each item of a tuple of the tuple's."""
+    if isinstance(value, bool) or kind is bool:
+        return isinstance(value, bool) and kind is bool
+    if isinstance(value, int | float) and kind in (int, float):
+        return isinstance(value, int | kind) and -_LARGEST <= value <= _LARGEST
+    if isinstance(value, tuple) and typing.get_origin(kind) is tuple:
+        return all(_is_plain(item, typing.get_args(kind)[0]) for item in value)
+    return isinstance(value, typing.get_origin(kind) or kind) and not isinstance(value, tuple)
 
 
 def _json_value(value: Any, kind: Any) -> Any:
@@ -221,11 +243,11 @@ def _read_manifest(folder: Path, schema: str) -> dict[str, Any]:
         manifest = json.loads((folder / "manifest.json").read_text())
     except FileNotFoundError:
         raise ArtifactError(f"no {schema} in {folder}; {_REMEDY}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"{folder}/manifest.json is damaged: {error}; {_REMEDY}") from error
     found = manifest.get("schema") if isinstance(manifest, dict) else None
     if found != schema:
-        raise ArtifactError(f"{folder} holds {found}, wanted {schema}; {_REMEDY}")
+        raise ArtifactError(f"{folder} holds {found!s:.60}, wanted {schema}; {_REMEDY}")
     return manifest
 
 
@@ -244,20 +266,42 @@ def _write_images(folder: Path, stack: Tensor) -> None:
 
 
 def _read_images(folder: Path, entry: Any, where: str) -> Tensor:
-    try:
-        shape = tuple(int(size) for size in entry["images"])
-    except (TypeError, KeyError, ValueError) as error:
-        raise ArtifactError(f"{where}: the manifest's entry is damaged; {_REMEDY}") from error
+    shape = _shape(entry)
+    if shape is None:
+        raise ArtifactError(f"{where}: the manifest's entry is damaged; {_REMEDY}")
     dims = 3 if shape[-1] == 3 and len(shape) > 3 else 2
-    count = int(np.prod(shape[:-dims]))
+    count = math.prod(shape[:-dims])
     paths = sorted(folder.glob("*.png"))
     if len(paths) != count:
         raise ArtifactError(f"{where}: wanted {count} images, found {len(paths)}; {_REMEDY}")
-    images = np.empty((count, *shape[-dims:]), np.uint8)
+    images = np.empty((0, *shape[-dims:]), np.uint8)
     for index, path in enumerate(paths):
-        mode = cv2.IMREAD_COLOR if dims == 3 else cv2.IMREAD_GRAYSCALE
-        image = cv2.imdecode(np.fromfile(path, np.uint8), mode)
-        if image is None or image.shape != shape[-dims:]:
-            raise ArtifactError(f"{path} is not an image of shape {shape[-dims:]}; {_REMEDY}")
-        images[index] = image[..., ::-1] if dims == 3 else image
+        image = _read_image(path, shape[-dims:])
+        if index == 0:  # not before: a size that only the manifest claims costs nothing
+            images = np.empty((count, *image.shape), np.uint8)
+        images[index] = image
     return torch.from_numpy(images).reshape(shape)
+
+
+def _shape(entry: Any) -> tuple[int, ...] | None:
+    """Sizes of a stack of images by its entry in the manifest; None if no stack can have them."""
+    shape = entry.get("images") if isinstance(entry, dict) else None
+    if not isinstance(shape, list) or len(shape) < 2:
+        return None
+    if not all(type(size) is int and 0 <= size <= MOST_PIXELS for size in shape):
+        return None
+    return tuple(shape) if math.prod(shape[-3:]) <= 3 * MOST_PIXELS else None
+
+
+def _read_image(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Decode a PNG file whose header says that it is of the shape wanted."""
+    image: NDArray[Any] | None = None
+    with contextlib.suppress(OSError, cv2.error):
+        content = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
+        size = content[16:24].tobytes()  # width, then height
+        if (int.from_bytes(size[4:], "big"), int.from_bytes(size[:4], "big")) == shape[:2]:
+            mode = cv2.IMREAD_COLOR if len(shape) == 3 else cv2.IMREAD_GRAYSCALE
+            image = cv2.imdecode(content, mode)
+    if image is None or image.shape != shape:
+        raise ArtifactError(f"{path} is not an image of shape {shape}; {_REMEDY}")
+    return image[..., ::-1] if len(shape) == 3 else image

@@ -87,3 +87,54 @@ def test_sections_that_a_file_lacks_come_from_the_file_it_shares(tmp_path):
     (tmp_path / "deep/own.yaml").write_text("shared: gone.yaml\n")
     with pytest.raises(ConfigError, match="cannot read .*gone.yaml: No such file"):
         load_params(tmp_path / "deep/own.yaml", "seed", int)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 2001-13-45", "month must be in 1..12"),
+        ("a: !!int ''", "index out of range"),
+        ("a: " + "9" * 5000, "4300 digits"),
+        ("[" * 500, "recursion"),
+        ("[" * 60 + "]" * 60, "line 1 is nested over 50 levels deep"),
+        ("a: &a [*a]", "the alias of line 1 contains itself"),
+    ],
+)
+def test_damaged_yaml_is_refused_whatever_its_reader_raises(tmp_path, text, message):
+    with pytest.raises(ConfigError, match=f"is not YAML.*{message}"):
+        config.read_yaml(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("form", ["[{}]", "{{<<: [{}]}}"])
+def test_aliases_that_stand_for_too_much_are_refused_before_they_are_written_out(tmp_path, form):
+    lines = ["x0: &x0 {a: 1}"]
+    for level in range(1, 9):
+        aliases = ", ".join([f"*x{level - 1}"] * 9)
+        lines.append(f"x{level}: &x{level} {form.format(aliases)}")
+    with pytest.raises(ConfigError, match="its aliases stand for over 100000 values"):
+        config.read_yaml(written(tmp_path, "\n".join(lines)))
+
+
+def test_a_file_that_is_far_larger_than_parameters_is_refused_unread(tmp_path):
+    with pytest.raises(ConfigError, match="has over 256 kB; is it a parameter file"):
+        config.read_yaml(written(tmp_path, "a: b\n" * 60_000))
+
+
+def test_parameter_files_that_share_each_other_are_refused(tmp_path):
+    (tmp_path / "other.yaml").write_text("shared: params.yaml")
+    with pytest.raises(ConfigError, match="shared leads through over 8 files"):
+        config.read_params(written(tmp_path, "shared: other.yaml"))
+
+
+def test_a_shared_file_without_sections_is_refused(tmp_path):
+    (tmp_path / "other.yaml").write_text("- a list")
+    with pytest.raises(ConfigError, match="other.yaml must hold sections, got .'a list'"):
+        config.read_params(written(tmp_path, "shared: other.yaml"))
+
+
+@pytest.mark.parametrize("value", [".inf", ".nan"])
+def test_numbers_of_parameters_are_finite(tmp_path, value):
+    text = f"""a: {{scene: s, motion: own, start: 0.0, seconds: 1.0, fps: 25.0, image_size: 64,
+  turns: {value}, travel: 0.0, margin: 0.1}}"""
+    with pytest.raises(ConfigError, match="turns: input should be a finite number"):
+        load_params(written(tmp_path, text), "a", config.AnimationParams)

@@ -162,3 +162,17 @@ def test_peak_memory_is_the_systems_own_figure_in_megabytes():
         pytest.skip("no /proc/self/status on this system")
     (line,) = [line for line in status.read_text().splitlines() if line.startswith("VmHWM")]
     assert run.peak_memory_mb() == pytest.approx(int(line.split()[1]) / 1024, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "recursion"),
+        ('{"seconds": NaN}', "not JSON compliant"),
+        ('{"seconds": 1e999}', "not JSON compliant"),
+    ],
+)
+def test_numbers_of_another_stage_that_are_none_are_refused(tmp_path, text, message):
+    (tmp_path / "fit.json").write_text(text)
+    with pytest.raises(ArtifactError, match=f"cannot read .*fit.json: .*{message}"):
+        run.read_json(tmp_path / "fit.json")

@@ -6,9 +6,10 @@ from typing import ClassVar
 import pytest
 import torch
 from jaxtyping import Float32, UInt8
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from deblur_avatar.artifacts import Reference
+from deblur_avatar.artifacts import Body, Reference
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.storage import Artifact
 
@@ -159,6 +160,44 @@ def forget_a_field(folder):
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
+def change_manifest(**changes):
+    def damage(folder):
+        manifest = json.loads((folder / "manifest.json").read_text())
+        (folder / "manifest.json").write_text(json.dumps(manifest | changes))
+
+    return damage
+
+
+def nest_the_manifest_deeply(folder):
+    (folder / "manifest.json").write_text("[" * 100_000)
+
+
+def empty_an_image(folder):
+    (folder / "frames" / "000001.png").write_bytes(b"")
+
+
+def put_a_folder_for_an_image(folder):
+    lose_an_image(folder)
+    (folder / "frames" / "000001.png").mkdir()
+
+
+def claim_a_huge_image(folder):
+    """A header of 40,000 x 40,000 pixels, which OpenCV would make room for."""
+    path = folder / "frames" / "000001.png"
+    content = bytearray(path.read_bytes())
+    content[16:24] = (40_000).to_bytes(4, "big") * 2
+    path.write_bytes(content)
+
+
+def change_tensors(**changes):
+    def damage(folder):
+        path = folder / "tensors.safetensors"
+        tensors = {**load_file(path), **changes}
+        save_file({key: value for key, value in tensors.items() if value is not None}, path)
+
+    return damage
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -170,6 +209,24 @@ def forget_a_field(folder):
         (damage_an_image, "000001.png is not an image"),
         (damage_a_nested_one, "no inner/1"),
         (forget_a_field, "name is missing"),
+        (nest_the_manifest_deeply, "manifest.json is damaged"),
+        (change_manifest(share=float("inf")), r"share must be float \| None, got float inf"),
+        (change_manifest(share=10**400), "share must be float"),
+        (change_manifest(numbers=[1, "2"]), "numbers must be tuple"),
+        (change_manifest(numbers=[[]]), "numbers must be tuple"),
+        (change_manifest(frames={"images": []}), "the manifest's entry is damaged"),
+        (change_manifest(frames={"images": [float("inf")] * 4}), "the manifest's entry is damaged"),
+        (change_manifest(frames={"images": [-1, -2, 4, 3]}), "the manifest's entry is damaged"),
+        (change_manifest(frames={"images": [2, 10**7, 10**7, 3]}), "entry is damaged"),
+        (change_manifest(frames={"images": [2, 10**4, 10**4, 3]}), "not an image of shape"),
+        (empty_an_image, "000001.png is not an image"),
+        (put_a_folder_for_an_image, "000001.png is not an image"),
+        (claim_a_huge_image, "000001.png is not an image"),
+        (change_tensors(extra=torch.zeros(2)), "extra must be dict"),
+        (
+            change_tensors(**{"extra.a": torch.zeros(2).to(torch.float8_e4m3fn)}),
+            "extra.a is of torch.float8_e4m3fn, which no artifact holds",
+        ),
     ],
 )
 def test_a_damaged_artifact_is_refused_by_name(tmp_path, damage, message):
@@ -193,3 +250,31 @@ def test_an_empty_stack_of_images_comes_back_empty(tmp_path):
     )
     reference.save(tmp_path / "x")
     assert Reference.load(tmp_path / "x").images.shape == (0, 4, 6, 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"vertices": 0}, "a body has vertices and joints"),
+        ({"parents": (-1, -7)}, "each after its parent"),
+        ({"parents": (-1, "0")}, "parents must be tuple"),
+    ],
+)
+def test_a_body_that_cannot_be_is_refused(changes, message):
+    points = changes.get("vertices", 3)
+    values = {
+        "vertices": torch.zeros(points, 3),
+        "shape_dirs": torch.zeros(points, 3, 1),
+        "joints": torch.zeros(2, 3),
+        "joint_dirs": torch.zeros(2, 3, 1),
+        "pose_dirs": None,
+        "parents": (-1, 0),
+        "lbs_weights": torch.full((points, 2), 0.5),
+        "faces": torch.zeros(0, 3, dtype=torch.long),
+        "uvs": None,
+        "joint_names": ("root", "end"),
+        "licence": "free",
+    }
+    parents = {"parents": changes.get("parents", (-1, 0))}
+    with pytest.raises(ArtifactError, match=message):
+        Body(**{**values, **parents})
