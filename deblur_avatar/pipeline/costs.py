@@ -10,6 +10,13 @@ from deblur_avatar.errors import ArtifactError
 STAGES = ("warmup", "trajectory", "fusion")
 
 
+def cost_files(folder: Path, run: RunParams) -> dict[str, Path]:
+    """What each fitting stage of a run measured, in their order; the warm-up may be shared."""
+    paths = {stage: folder / stage / f"{run.scene}-{run.method}.json" for stage in STAGES}
+    paths["warmup"] = folder / "warmup" / f"{run.scene}-{run.observations}-{run.start}.json"
+    return paths
+
+
 def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
     """Read `<folder>/<stage>/<item>.json` of each fitting stage.
 
@@ -24,10 +31,7 @@ def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
     Raises:
         ArtifactError: if a measurement is damaged.
     """
-    item = f"{run.scene}-{run.method}"
-    paths = {stage: folder / stage / f"{item}.json" for stage in STAGES}
-    paths["warmup"] = folder / "warmup" / f"{run.scene}-{run.observations}-{run.start}.json"
-    found = {stage: _read(path) for stage, path in paths.items()}
+    found = {stage: _read(path) for stage, path in cost_files(folder, run).items()}
     seconds = {stage: content.get("seconds") for stage, content in found.items()}
     peaks = [content["peak_memory_mb"] for content in found.values() if content]
     return {

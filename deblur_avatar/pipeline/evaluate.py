@@ -83,8 +83,8 @@ def evaluate(
     novel_views = [comparison for comparison in comparisons if not comparison.view.novel_pose]
     novel_poses = [comparison for comparison in comparisons if comparison.view.novel_pose]
     content = {
-        "image": _mean_scores(novel_views),
-        "novel_pose": _mean_scores(novel_poses),
+        "image": mean_scores(novel_views),
+        "novel_pose": mean_scores(novel_poses),
         "cameras": _by_camera(novel_views, observations.cameras.names),
         "motion": _motion(observations, reference, motion, true),
         "initial": _initial(observations, true),
@@ -162,7 +162,7 @@ def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]
     return light.to(model.betas)
 
 
-def _mean_scores(comparisons: Sequence[Comparison]) -> dict[str, float | None] | None:
+def mean_scores(comparisons: Sequence[Comparison]) -> dict[str, float | None] | None:
     """Mean of each score over pictures, where it was measured."""
     if not comparisons:
         return None
@@ -179,7 +179,7 @@ def _by_camera(
 ) -> dict[str, dict[str, float | None] | None]:
     cameras = sorted({comparison.view.camera for comparison in comparisons})
     return {
-        names[camera]: _mean_scores([c for c in comparisons if c.view.camera == camera])
+        names[camera]: mean_scores([c for c in comparisons if c.view.camera == camera])
         for camera in cameras
     }
 

@@ -30,6 +30,17 @@ def reblur(
         `psnr` over the frames set aside for validation (None without any) and `psnr_train` over
         those trained on, dB, all pixels; data range 1, sRGB.
     """
+
+    def mean(positions: Sequence[int]) -> float | None:
+        return mean_reblur_psnr(model, observations, motion, positions)
+
+    return {"psnr": mean(observations.validation), "psnr_train": mean(observations.train)}
+
+
+def mean_reblur_psnr(
+    model: AvatarModel, observations: Observations, motion: Motion, positions: Sequence[int]
+) -> float | None:
+    """PSNR of averaged renders against the frames at some positions, dB; None for no position."""
     camera = observations.train_camera
     width, height = observations.cameras.sizes[camera].tolist()
     device = model.betas.device
@@ -48,10 +59,7 @@ def reblur(
         )
         return float(psnr(image.cpu(), observations.frames[position][None].float() / 255))
 
-    def mean(positions: Sequence[int]) -> float | None:
-        return sum(map(score, positions)) / len(positions) if positions else None
-
-    return {"psnr": mean(observations.validation), "psnr_train": mean(observations.train)}
+    return sum(map(score, positions)) / len(positions) if positions else None
 
 
 def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence[int]) -> Poses:
