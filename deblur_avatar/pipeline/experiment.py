@@ -52,7 +52,8 @@ def experiment_pipeline(folder: Path, root: Path, maker: str) -> str:
         }
         stage.update(changed)
     if "report" not in run:
-        content.pop("metrics", None)
+        for section in ("metrics", "plots"):
+            content.pop(section, None)
     fetched = _fetched(folder, root, layers)
     content = {"vars": fetched, **content} if fetched else content
     return HEADER.format(up=up, maker=maker) + _text(content)

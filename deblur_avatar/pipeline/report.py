@@ -37,7 +37,17 @@ from deblur_avatar.pipeline.results_table import (
     results_table,
     short_columns,
 )
-from deblur_avatar.pipeline.speed_accuracy import drawn, speed_accuracy
+from deblur_avatar.pipeline.speed_accuracy import (
+    OVER_TIME,
+    SPEED_ACCURACY,
+    Row,
+    chart,
+    drawn,
+    drawn_png,
+    rows_of_methods,
+    rows_over_time,
+    with_speed,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +56,14 @@ STRIPS = 4  # of each scene on the page
 README_STRIPS = 2
 REPEATS = 3  # scenes that saw the same methods, before a mean over them is shown
 LARGEST_VIDEO = 1_500_000  # bytes; a longer one stays out of the page
+CHARTS = {"speed_accuracy": SPEED_ACCURACY, "quality_over_time": OVER_TIME}  # and their templates
+# What `dvc metrics diff` and `dvc exp show` compare, of each scene and method.
+DECLARED = {
+    "psnr": ("image", "psnr"),
+    "recovery": ("recovery", "psnr"),
+    "reblur_psnr": ("reblur", "psnr"),
+    "train_s": ("cost", "train_s"),
+}
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
 Results = dict[str, dict[str, Any]]  # by method
@@ -58,31 +76,32 @@ class Report:
     page: str
     summary: dict[str, Any]
     tables: str  # Markdown
-    chart: dict[str, Any]  # Vega-Lite
+    rows: dict[str, list[Row]]  # of each chart
     strip: Picture | None  # for the README
     log: str  # for a terminal
 
     def save(self, folder: Path) -> None:
-        """Write `index.html`, `summary.json`, `table.md`, `speed_accuracy.vl.json`, `strip.png`.
+        """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png` and the charts.
+
+        A chart is its rows (`.json`, for `dvc plots show`), its specification (`.vl.json`) and
+        its picture (`.svg`, `.png`); without rows it is an empty list alone.
 
         Raises:
             ArtifactError: if the disk refuses.
         """
-        chart = json.dumps(self.chart, indent=1, ensure_ascii=False) + "\n"
-        texts = {
-            "index.html": self.page,
-            "table.md": self.tables,
-            "speed_accuracy.vl.json": chart,
-        }
+        files = {"index.html": self.page.encode(), "table.md": self.tables.encode()}
+        for name, rows in self.rows.items():
+            files |= _chart_files(name, rows)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for name, text in texts.items():
-                scratch = folder / f".{name}.part"
-                scratch.write_text(text)
-                scratch.replace(folder / name)
+            for file, content in files.items():
+                scratch = folder / f".{file}.part"
+                scratch.write_bytes(content)
+                scratch.replace(folder / file)
         except OSError as error:
             raise ArtifactError(f"cannot write {folder}: {error}") from error
         run.write_json(folder / "summary.json", self.summary)
+        run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
         if self.strip is not None:
             write_picture(folder / "strip.png", self.strip)
 
@@ -91,16 +110,24 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
     """Read all results and put them on one page.
 
     Args:
-        metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`.
+        metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
+            `timeline/<run>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
 
     Raises:
         ArtifactError: if a file is damaged; names it.
     """
-    scenes = {scene: compared(results) for scene, results in read_results(metrics).items()}
+    timelines = _timelines(metrics)
+    scenes = {
+        scene: with_speed(compared(results), timelines.get(scene, {}))
+        for scene, results in read_results(metrics).items()
+    }
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
-    chart = speed_accuracy(scenes)
+    rows = {
+        "speed_accuracy": rows_of_methods(scenes),
+        "quality_over_time": rows_over_time(timelines),
+    }
     main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     repeated = _repeated(scenes)
     if repeated is not None:
@@ -108,7 +135,7 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
     page = _page(
         headline=_headline(scenes),
         machine=_machine(scenes),
-        chart=drawn(chart) if chart["hconcat"] else "",
+        charts={name: drawn(chart(CHARTS[name], found)) for name, found in rows.items() if found},
         quiet=(NOT_MEASURED, NOT_KNOWN),
         repeated=repeated,
         scenes=[
@@ -129,10 +156,41 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
         page=page,
         summary=_summary(scenes),
         tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
-        chart=chart,
+        rows=rows,
         strip=_readme_strip(strips),
         log=_log(main),
     )
+
+
+def declared(scenes: Mapping[str, Results]) -> dict[str, Any]:
+    """The few numbers that experiments are compared by, of each scene and method."""
+    return {
+        scene: {
+            method: {name: look_up(result, path) for name, path in DECLARED.items()}
+            for method, result in results.items()
+        }
+        for scene, results in scenes.items()
+    }
+
+
+def _chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
+    content = {f"{name}.json": (json.dumps(rows, indent=1) + "\n").encode()}
+    if rows:
+        specification = chart(CHARTS[name], rows)
+        text = json.dumps(specification, indent=1, ensure_ascii=False) + "\n"
+        content[f"{name}.vl.json"] = text.encode()
+        content[f"{name}.svg"] = drawn(specification).encode()
+        content[f"{name}.png"] = drawn_png(specification)
+    return content
+
+
+def _timelines(metrics: Path) -> dict[str, Results]:
+    """What `timeline` measured, by scene and method."""
+    found: dict[str, Results] = {}
+    for path in sorted(metrics.glob("timeline/*.json")):
+        content = _read(path)
+        found.setdefault(str(content.get("scene")), {})[str(content.get("method"))] = content
+    return found
 
 
 def _repeated(scenes: Mapping[str, Results]) -> Titled | None:

@@ -63,12 +63,16 @@ GAUSSIANS = Column(("model", "gaussians"), "Gaussians", "", 0)
 NOVEL_VIEW = (
     PSNR, SSIM, FLIP, LPIPS, PERSON, SEEN, FLIP_SEEN, RECOVERY, RECOVERY_SEEN, TO_CEILING,
 )  # fmt: skip
+TO_PAPER = Column(("speed", "time_to_paper_s"), "until as good as paper", "s", 0, -1)
+ON_DISK = Column(("speed", "disk_mb"), "on disk", "MB", 2, -1)
 COST = (
     TRAINING,
+    TO_PAPER,
     DRAWING,
     Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1),
     GAUSSIANS,
     Column(("model", "megabytes"), "size", "MB", 1, -1),
+    ON_DISK,
     Column(("model", "virtual_poses_mean"), "virtual poses", "a frame", 1),
     Column(("run", "iterations"), "iterations", "", 0),
 )

@@ -1,51 +1,153 @@
-"""Speed against accuracy as a chart: a Vega-Lite specification, drawn without a network."""
+"""Speed against accuracy: rows of numbers and the charts that are drawn of them without a network.
 
+Conventions. Seconds are of training, the warm-up counted in full. Templates are Vega-Lite with
+DVC's mark where the rows go, so that `dvc plots show` draws the same charts. A method is on the
+Pareto front of a scene if no other reaches as much in as little time; bounds (`ceiling`, `oracle`)
+saw what a method never sees and take no part.
+"""
+
+import json
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import vl_convert
 
 from deblur_avatar.pipeline.results_table import BOUNDS, look_up, method_order
 
-SCHEMA = "https://vega.github.io/schema/vega-lite/v5.json"
 VERSION = "5.20"  # of Vega-Lite, as vl-convert names it
-WIDTH, HEIGHT = 360, 240  # pixels of one scene's panel
-INK, MUTED, GRID = "#1d2430", "#5f6b7a", "#e6e9ee"
-COLORS = {
-    "ceiling": "#9aa3af", "oracle": "#5f6b7a", "blind": "#c2552d", "paper": "#2b6cb0",
-    "released": "#8a5fb0", "lean": "#1f8a5b",
-}  # fmt: skip
-OTHER = "#b58900"
+SPEED_ACCURACY, OVER_TIME = "speed_accuracy.vl.json", "quality_over_time.vl.json"
+PIXELS_A_POINT = 2.0  # of PNG files
+MEASURE = "paper"  # the method whose final quality the others are timed to
+# What a curve is of: its heading, and where a snapshot has the number.
+QUALITIES = {"novel views": ("image", "psnr"), "validation frames": ("validation_psnr",)}
+
+Results = Mapping[str, Mapping[str, Any]]  # by method
+Row = dict[str, Any]
 
 
-def speed_accuracy(scenes: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
-    """One panel a scene: seconds of training against PSNR of novel views, one point a method.
+def with_speed(results: Results, timelines: Results) -> dict[str, dict[str, Any]]:
+    """Add `speed` to the results of one scene.
 
-    Args:
-        scenes: results by scene and method; those without both numbers are left out.
-
-    Returns:
-        A Vega-Lite specification with its data inside. Bounds are hollow.
+    `disk_mb` is the avatar's size as stored, `time_to_paper_s` when in training a method was as
+    good as `paper` is in the end (None: never), `pareto` whether it is on the front. The former two
+    are None without a timeline.
     """
-    panels = [_panel(scene, _points(results)) for scene, results in scenes.items()]
+    front = pareto_front(
+        {
+            method: (seconds, psnr)
+            for method, result in results.items()
+            if method not in BOUNDS
+            and (seconds := look_up(result, ("cost", "train_s"))) is not None
+            and (psnr := look_up(result, ("image", "psnr"))) is not None
+        }
+    )
+    curves = {method: _curve(timelines.get(method, {}), "novel views") for method in results}
+    goal = curves.get(MEASURE)
     return {
-        "$schema": SCHEMA,
-        "description": "Seconds of training against PSNR of novel views, by method.",
-        "hconcat": [panel for panel in panels if panel["data"]["values"]],
-        "spacing": 48,
-        "background": None,
-        "config": {
-            "font": "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif",
-            "view": {"stroke": None},
-            "axis": {
-                "labelColor": MUTED, "titleColor": MUTED, "gridColor": GRID, "tickColor": GRID,
-                "domainColor": GRID, "gridOpacity": 0.6, "labelFontSize": 12, "titleFontSize": 12,
-                "titleFontWeight": "normal", "titlePadding": 10,
+        method: {
+            **result,
+            "speed": {
+                "disk_mb": look_up(timelines.get(method, {}), ("disk_mb",)),
+                "time_to_paper_s": seconds_to(curves[method], goal[-1][1]) if goal else None,
+                "pareto": method in front,
             },
-            "title": {"color": INK, "fontSize": 14, "anchor": "start", "offset": 12},
-        },
-    }  # fmt: skip
+        }
+        for method, result in results.items()
+    }
+
+
+def pareto_front(points: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Who is not beaten in both, of seconds (less is better) and quality (more), in order of time.
+
+    Equals do not beat each other.
+    """
+    return sorted(
+        (
+            name
+            for name, (seconds, quality) in points.items()
+            if not any(
+                (s <= seconds and q >= quality) and (s, q) != (seconds, quality)
+                for s, q in points.values()
+            )
+        ),
+        key=lambda name: (*points[name], name),
+    )
+
+
+def seconds_to(curve: Sequence[tuple[float, float]], goal: float) -> float | None:
+    """When a curve of (seconds, quality) first reaches a goal; None if it never does.
+
+    Between two snapshots quality is taken to be straight over the logarithm of time.
+    """
+    if curve and curve[0][1] >= goal:
+        return curve[0][0]
+    for (start, low), (end, high) in pairwise(curve):
+        if low < goal <= high:
+            share = (goal - low) / (high - low)
+            return start * math.exp(share * math.log(end / start)) if share < 1 else end
+    return None
+
+
+def rows_of_methods(scenes: Mapping[str, Results]) -> list[Row]:
+    """One row for each scene and method of which time and quality are known."""
+    rows = []
+    for scene, results in scenes.items():
+        for method in method_order(results):
+            result = results[method]
+            seconds = look_up(result, ("cost", "train_s"))
+            psnr = look_up(result, ("image", "psnr"))
+            if seconds is not None and psnr is not None:
+                speed = result.get("speed") or {}
+                rows.append(
+                    {
+                        "scene": scene,
+                        "method": method,
+                        "training_s": round(seconds, 1),
+                        "psnr_db": round(psnr, 3),
+                        "render_fps": _rounded(look_up(result, ("cost", "render_fps")), 1),
+                        "memory_mb": _rounded(look_up(result, ("cost", "peak_memory_mb")), 0),
+                        "disk_mb": _rounded(look_up(speed, ("disk_mb",)), 3),
+                        "time_to_paper_s": _rounded(look_up(speed, ("time_to_paper_s",)), 1),
+                        "bound": method in BOUNDS,
+                        "pareto": bool(speed.get("pareto")),
+                    }
+                )
+    return rows
+
+
+def rows_over_time(timelines: Mapping[str, Results]) -> list[Row]:
+    """One row for each snapshot of each scene and method, for each quality that was measured."""
+    rows = []
+    for measure in QUALITIES:
+        for scene, methods in timelines.items():
+            curves = {method: _curve(methods[method], measure) for method in method_order(methods)}
+            goal = curves.get(MEASURE)
+            for method, curve in curves.items():
+                points = [p for p in methods[method]["points"] if _quality(p, measure) is not None]
+                for point, (seconds, psnr) in zip(points, curve, strict=True):
+                    rows.append(
+                        {
+                            "scene": scene,
+                            "measure": measure,
+                            "method": method,
+                            "stage": point["stage"],
+                            "iteration": point["iteration"],
+                            "training_s": round(seconds, 2),
+                            "psnr_db": round(psnr, 3),
+                            "paper_db": round(goal[-1][1], 3) if goal else None,
+                            "bound": method in BOUNDS,
+                        }
+                    )
+    return rows
+
+
+def chart(template: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """A Vega-Lite specification of its own: one of the templates with its rows inside."""
+    content = json.loads((Path(__file__).parent / template).read_text())
+    return content | {"data": {"values": list(rows)}}
 
 
 def drawn(specification: Mapping[str, Any]) -> str:
@@ -53,53 +155,24 @@ def drawn(specification: Mapping[str, Any]) -> str:
     return vl_convert.vegalite_to_svg(dict(specification), vl_version=VERSION)
 
 
-def _points(results: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    points = []
-    for method in method_order(results):
-        seconds = look_up(results[method], ("cost", "train_s"))
-        psnr = look_up(results[method], ("image", "psnr"))
-        if seconds is not None and psnr is not None:
-            points.append(
-                {
-                    "method": method,
-                    "training_s": round(seconds, 1),
-                    "psnr_db": round(psnr, 3),
-                    "bound": method in BOUNDS,
-                    "color": COLORS.get(method, OTHER),
-                }
-            )
-    return points
+def drawn_png(specification: Mapping[str, Any]) -> bytes:
+    """The chart as PNG on white."""
+    on_white = {**specification, "background": "white"}
+    return vl_convert.vegalite_to_png(on_white, vl_version=VERSION, scale=PIXELS_A_POINT)
 
 
-def _panel(scene: str, points: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    heights = [point["psnr_db"] for point in points] or [0.0]
-    color = {"field": "color", "type": "nominal", "scale": None, "legend": None}
-    place = {
-        "x": {
-            "field": "training_s", "type": "quantitative", "title": "training, seconds",
-            "scale": {"zero": True, "nice": True}, "axis": {"tickCount": 5},
-        },
-        "y": {
-            "field": "psnr_db", "type": "quantitative", "title": "PSNR of novel views, dB",
-            "scale": {"domain": [math.floor(min(heights) - 0.5), math.ceil(max(heights) + 0.5)]},
-            "axis": {"tickCount": 6},
-        },
-    }  # fmt: skip
-    hollow = {"condition": {"test": "datum.bound", "value": "white"}, **color}
-    return {
-        "title": scene,
-        "width": WIDTH,
-        "height": HEIGHT,
-        "data": {"values": list(points)},
-        "encoding": place,
-        "layer": [
-            {
-                "mark": {"type": "point", "size": 110, "strokeWidth": 2, "opacity": 1},
-                "encoding": {"stroke": color, "fill": hollow},
-            },
-            {
-                "mark": {"type": "text", "align": "left", "dx": 11, "fontSize": 12},
-                "encoding": {"text": {"field": "method"}, "color": {"value": INK}},
-            },
-        ],
-    }
+def _curve(timeline: Mapping[str, Any], measure: str) -> list[tuple[float, float]]:
+    """Seconds and quality of each snapshot at which the quality was measured."""
+    return [
+        (float(point["seconds"]), quality)
+        for point in timeline.get("points") or ()
+        if (quality := _quality(point, measure)) is not None
+    ]
+
+
+def _quality(point: Mapping[str, Any], measure: str) -> float | None:
+    return look_up(point, QUALITIES[measure])
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

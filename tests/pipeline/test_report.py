@@ -11,7 +11,6 @@ from deblur_avatar.imaging.video_writing import write_video
 from deblur_avatar.pipeline.picture_strips import INPUT, TRUTH, person_box, strips_of_scene
 from deblur_avatar.pipeline.report import make_report
 from deblur_avatar.pipeline.report_tables import facts_of, tables_of
-from deblur_avatar.pipeline.speed_accuracy import drawn, speed_accuracy
 
 PSNR = {"ceiling": 30.0, "oracle": 28.0, "blind": 24.0, "paper": 25.0}
 
@@ -52,6 +51,12 @@ def project(tmp_path):
                 write_picture(folder / names["blurred"], person(60))
                 views.append({"camera": "left", "frame": frame, "novel_pose": frame == 7, **names})
             write_json(folder / "views.json", views)
+    points = [
+        {"stage": "fusion", "iteration": i, "seconds": 5.0 * i, "image": {"psnr": 20.0 + i}}
+        for i in (1, 5)
+    ]
+    timeline = {"scene": "studio", "method": "paper", "disk_mb": 1.5, "points": points}
+    write_json(tmp_path / "metrics/timeline/studio-paper.json", timeline)
     write_json(tmp_path / "metrics/blur/studio.json", {"scene": "studio", "window": 33})
     write_json(tmp_path / "metrics/warmup/studio-blurred-paper.json", {"seconds": 20})
     frames = [person(value) for value in (50, 100, 150)]
@@ -151,12 +156,38 @@ def test_the_summary_averages_methods_over_scenes_and_fills_in_recovery(project)
     assert summary["scenes"]["studio"]["paper"]["image"]["lpips_vgg"] is None
 
 
+def test_experiments_are_compared_by_a_few_numbers(project):
+    made(project).save(project / "reports")
+    content = json.loads((project / "reports" / "metrics.json").read_text())
+    assert set(content) == {"studio", "yard"}
+    assert content["yard"]["paper"] == {
+        "psnr": 25.0, "recovery": pytest.approx(0.25), "reblur_psnr": None, "train_s": 100.0,
+    }  # fmt: skip
+
+
+def test_the_page_shows_both_charts_and_what_snapshots_told(project):
+    report = made(project)
+    assert report.page.count("<svg") == 2
+    assert report.summary["scenes"]["studio"]["paper"]["speed"] == {
+        "disk_mb": 1.5, "time_to_paper_s": 25.0, "pareto": True,
+    }  # fmt: skip
+    (project / "metrics/timeline/studio-paper.json").unlink()
+    report = made(project)
+    assert report.page.count("<svg") == 1
+    report.save(project / "reports")
+    assert json.loads((project / "reports" / "quality_over_time.json").read_text()) == []
+    assert not (project / "reports" / "quality_over_time.svg").exists()
+
+
 def test_equal_results_give_equal_bytes(project):
     for name in ("a", "b"):
         made(project).save(project / name)
     files = sorted(path.name for path in (project / "a").iterdir())
     assert files == [
-        "index.html", "speed_accuracy.vl.json", "strip.png", "summary.json", "table.md",
+        "index.html", "metrics.json",
+        *(f"quality_over_time.{kind}" for kind in ("json", "png", "svg", "vl.json")),
+        *(f"speed_accuracy.{kind}" for kind in ("json", "png", "svg", "vl.json")),
+        "strip.png", "summary.json", "table.md",
     ]  # fmt: skip
     for name in files:
         assert (project / "a" / name).read_bytes() == (project / "b" / name).read_bytes(), name
@@ -323,23 +354,6 @@ def test_facts_are_said_as_far_as_they_are_known():
     assert facts_of({}, {}) == []
 
 
-def test_the_chart_has_a_point_for_each_method_and_bounds_are_hollow():
-    scenes = {
-        "studio": {m: result("studio", m, p) for m, p in PSNR.items()},
-        "empty": {"blind": {}},
-    }
-    specification = speed_accuracy(scenes)
-    assert len(specification["hconcat"]) == 1
-    points = specification["hconcat"][0]["data"]["values"]
-    assert [point["method"] for point in points] == list(PSNR)
-    assert [point["bound"] for point in points] == [True, True, False, False]
-    assert points[3]["psnr_db"] == 25.0
-    picture = drawn(specification)
-    assert picture.startswith("<svg")
-    assert all(f">{method}<" in picture for method in PSNR)
-    assert drawn(specification) == picture
-
-
 def untrue(project, method, explained):
     """A scene of a user's own video: nothing but blurred frames to compare with."""
     content = result("mine", method, 0.0) | {
@@ -367,4 +381,4 @@ def test_a_scene_without_truth_says_how_well_its_blurred_frames_are_explained(pr
     (strip,) = strips_of_scene({"lean": project / "evaluate" / "mine-lean"}, 4)
     assert list(strip.pictures) == [INPUT, "lean"]
     assert report.summary["methods"]["lean"]["recovery"]["psnr"] is None
-    assert [panel["title"] for panel in report.chart["hconcat"]] == ["studio", "yard"]
+    assert {row["scene"] for row in report.rows["speed_accuracy"]} == {"studio", "yard"}
