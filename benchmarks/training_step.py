@@ -2,10 +2,11 @@
 
     python -m benchmarks.training_step [--json FILE]
 
-prints JSON: for each method milliseconds a step (the median), shares of its parts (forward and
-backward) and of kinds of work, and for `paper` the same step written naively: instants one by one,
-networks evaluated for each, coverage rendered apart. Both are measured in turns, so that a busy
-machine slows them alike. The scene is a person of capsules.
+prints JSON: for each method milliseconds a step (the median), milliseconds and shares of its parts
+(forward and backward), shares of kinds of work, and for `paper` the same step written naively:
+instants one by one, networks evaluated for each, coverage rendered apart. Both are measured in
+turns, so that a busy machine slows them alike. The scene is a person of capsules. `--methods` names
+some of the methods; all of them take minutes.
 
 Kinds of work: `rasterizer` and `posing kernel` are the two native kernels; `layers` is all inside a
 stack of network layers, where products, ReLUs and rounding alternate; `matrix products` is what of
@@ -40,7 +41,11 @@ from deblur_avatar.pipeline.trajectory import new_trajectory
 from deblur_avatar.run import stage
 
 PARAMETERS = Path("params.yaml")
-METHODS = {"blind": "paper", "paper": "paper", "lean": "lean"}  # and the start each goes on from
+METHODS = {
+    "blind": "paper", "no_nonrigid": "no_nonrigid", "no_fusion": "paper", "n3": "paper",
+    "paper": "paper", "n7": "paper", "n9": "paper", "n13": "paper", "cubic": "paper",
+    "learned": "paper", "released": "released", "lean": "lean",
+}  # fmt: skip  # and the start each goes on from
 FRAMES = 8
 FPS = 60.0
 EXPOSURE = 4 / FPS  # seconds
@@ -116,9 +121,11 @@ def begin(name: str, seen: Observations, schedule: ScheduleParams) -> tuple[Avat
     network = None
     if method.fusion.network is not None:
         sizes = method.fusion.network
+        posed = sizes.pose and start.model.nonrigid is not None
         network = FusionNetwork(
-            model.pose_encoder.size, FRAMES, sizes.frame_codes, sizes.color_features, sizes.hidden
-        )
+            model.pose_encoder.size if posed else 0, FRAMES, sizes.frame_codes,
+            sizes.color_features, sizes.hidden,
+        )  # fmt: skip
     trajectory = new_trajectory(seen, method.trajectory, generator)
     device = torch.device("cpu")
     fit = AvatarFit(model, trajectory, seen, start, schedule, device, generator, network)
@@ -266,16 +273,18 @@ def _kind(event: FunctionEvent | None) -> str:
     return "other"
 
 
-def measure() -> dict[str, Any]:
-    """All methods, and `paper` written naively in half and in full precision."""
+def measure(methods: Iterable[str]) -> dict[str, Any]:
+    """Some methods, and `paper` written naively in half and in full precision."""
     name = load_params(PARAMETERS, "schedule", str)
     schedule = load_params(PARAMETERS, f"schedules.{name}", ScheduleParams)
     seen = observations(schedule.image_height)
     record: dict[str, Any] = {"schedule": name, "methods": {}}
-    for method in METHODS:
+    for method in methods:
         fit, step = begin(method, seen, schedule)
         (took,) = milliseconds([step])
-        record["methods"][method] = {"ms": round(took, 2), **parts_of(fit, step)}
+        found = parts_of(fit, step)
+        apart = {part: round(share * took, 2) for part, share in found["parts"].items()}
+        record["methods"][method] = {"ms": round(took, 2), "parts_ms": apart, **found}
     _, shared = begin("paper", seen, schedule)
     apart = naive(begin("paper", seen, schedule)[0])
     slow = naive(begin("paper", seen, schedule)[0])
@@ -297,11 +306,11 @@ def measure() -> dict[str, Any]:
     return record
 
 
-def main(json_file: Path | None) -> None:
+def main(json_file: Path | None, methods: Iterable[str]) -> None:
     """Measure, print, and write."""
     where = machine(4.1)
     with stage("benchmark", "training_step", 0):  # as stages do: memory kept, equal bits
-        record = {"machine": where, **measure()}
+        record = {"machine": where, **measure(methods)}
     print(json.dumps(record, indent=1))
     if json_file:
         json_file.write_text(json.dumps(record, indent=1) + "\n")
@@ -310,4 +319,5 @@ def main(json_file: Path | None) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, help="write the record to this file")
-    main(parser.parse_args().json)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    main(parser.parse_args().json, parser.parse_args().methods)
