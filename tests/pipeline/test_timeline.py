@@ -6,6 +6,7 @@ import torch
 
 from deblur_avatar.config import RunParams
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.fitting.run_folder import Snapshot
 from deblur_avatar.pipeline.evaluate import compare
 from deblur_avatar.pipeline.timeline import VIEWS, moments_of, timeline
 from deblur_avatar.pipeline.truth_views import truth_views
@@ -34,8 +35,7 @@ def trained(scene, tmp_path):
         avatar = gray if stage == "warmup" else scene.avatar
         for iteration, _ in kept:
             folder = stages[stage] / "snapshots" / f"{iteration:06d}"
-            avatar.save(folder / "avatar")
-            scene.motion.save(folder / "motion")
+            Snapshot(avatar=avatar, motion=scene.motion).save(folder)
         avatar.save(stages[stage] / "avatar")
     for stage in ("trajectory", "fusion"):
         scene.motion.save(stages[stage] / "motion")
