@@ -185,7 +185,7 @@ class AvatarFit:
             self._densify(iteration, drawn, target)
         return {name: float(value.detach()) for name, value in terms.items()}
 
-    def cost(self, seconds: float) -> dict[str, float]:
+    def cost(self, seconds: float) -> dict[str, int | float]:
         """What a stage's measurements say of it."""
         gaussians = len(self.model.gaussians)
         return {"seconds": seconds, "gaussians": gaussians, "left_out": self.descent.left_out}

@@ -94,13 +94,13 @@ class RunFolder:
         snapshot.save(self._path / "snapshots" / f"{iteration:06d}")
         (self._path / f"snapshot_{iteration:06d}.json").write_text(json.dumps(seconds))
 
-    def finish(self, out: Path) -> list[dict[str, float]]:
+    def finish(self, out: Path) -> list[dict[str, int | float]]:
         """Hand the snapshots to `out` and throw the rest away.
 
         Returns:
             `iteration` and `seconds` of training of each snapshot, in order.
         """
-        taken = []
+        taken: list[dict[str, int | float]] = []
         for iteration in sorted(self._wanted):
             times = self._path / f"snapshot_{iteration:06d}.json"
             if times.exists():

@@ -25,7 +25,7 @@ def fuse(
     generator: torch.Generator,
     report: Report,
     folder: RunFolder | None = None,
-) -> tuple[Avatar, Motion, dict[str, float]]:
+) -> tuple[Avatar, Motion, dict[str, int | float]]:
     """Finish the avatar and its motion.
 
     Returns:

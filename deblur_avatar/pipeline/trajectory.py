@@ -26,7 +26,7 @@ def fit_trajectory(
     generator: torch.Generator,
     report: Report,
     folder: RunFolder | None = None,
-) -> tuple[Avatar, Motion, Checkpoint, dict[str, float]]:
+) -> tuple[Avatar, Motion, Checkpoint, dict[str, int | float]]:
     """Fit renders averaged over the exposure (or sharp ones, by `params`) to the frames.
 
     Returns:

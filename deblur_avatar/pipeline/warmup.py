@@ -21,7 +21,7 @@ def warm_up(
     generator: torch.Generator,
     report: Report,
     folder: RunFolder | None = None,
-) -> tuple[Avatar, Checkpoint, dict[str, float]]:
+) -> tuple[Avatar, Checkpoint, dict[str, int | float]]:
     """Fit sharp renders at the given poses to the frames, whatever blur they hold.
 
     With a `folder` it goes on where an earlier run of the same was stopped.
