@@ -297,7 +297,6 @@ class LossParams(Params):
     even_heights: NonNegative  # and how far they stand off the body
     anchor: NonNegative  # clip motion: knots stay near the first estimate
     depth: NonNegative  # clip motion: so do joints' distances from the camera, where depth is known
-    bending: NonNegative  # clip motion: knots hardly accelerate
     shutter: NonNegative  # clip motion: an estimated shutter stays near the first guess
 
 

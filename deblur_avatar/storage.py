@@ -83,7 +83,7 @@ class Artifact:
                 scratch.rename(folder)
             finally:
                 shutil.rmtree(scratch, ignore_errors=True)
-        except OSError as error:
+        except (OSError, SafetensorError) as error:
             raise ArtifactError(f"cannot write {self.schema} to {folder}: {error}") from error
 
     def _write(self, folder: Path) -> None:

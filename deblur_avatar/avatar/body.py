@@ -5,11 +5,13 @@ turns each further joint relative to its parent, `transl` moves it last. Axis-an
 metres.
 """
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.artifacts import Body
+from deblur_avatar.artifacts import Body, Poses
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import forward_kinematics, skin_points
 
@@ -68,6 +70,13 @@ def posed_vertices(
     rotation = torch.einsum("vj,...jrc->...vrc", weights, transforms[..., :3, :])
     points = vertices + offsets
     return (rotation[..., :3] @ points[..., None])[..., 0] + rotation[..., 3]
+
+
+def posed_meshes(body: Body, poses: Poses) -> Iterator[Float[Tensor, "P 3"]]:
+    """Vertices of the posed body, frame by frame: pose blend shapes of many would fill memory."""
+    for index in range(len(poses.transl)):
+        pose = poses.at([index])
+        yield posed_vertices(body, pose.betas, pose.global_orient, pose.body_pose, pose.transl)[0]
 
 
 def posed_joints(

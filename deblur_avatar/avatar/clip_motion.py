@@ -137,20 +137,16 @@ class ClipMotion(Trajectory):
         self.taken.copy_(counts)
 
     def priors(self) -> dict[str, Float[Tensor, ""]]:
-        """Penalties for leaving the first estimate, for bending, for another shutter than guessed.
+        """Penalties for leaving the first estimate, and for another shutter than guessed.
 
-        `anchor` is the mean squared distance of the knots from the first ones, `bending` that of
-        the velocity from one knot to the next, both in radians of a joint's turn; `shutter` is the
-        squared logarithm of its ratio to the guess.
+        `anchor` is the mean squared distance of the knots from the first ones, in radians of a
+        joint's turn; `shutter` is the squared logarithm of its ratio to the guess.
         """
         quats = axis_angle_to_quat(self.axis_angle)
         first = axis_angle_to_quat(self.first_axis_angle)
-        steps = quat_to_axis_angle(quat_multiply(quat_conjugate(quats[:-1]), quats[1:]))
-        strides = self.transl.diff(dim=0) / LEVER
         return {
             "anchor": _size(quat_to_axis_angle(quat_multiply(quat_conjugate(first), quats)))
             + _size((self.transl - self.first_transl) / LEVER),
-            "bending": _size(steps.diff(dim=0)) + _size(strides.diff(dim=0)),
             "shutter": self.log_shutter.square(),
         }
 

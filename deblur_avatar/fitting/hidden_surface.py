@@ -6,7 +6,7 @@ The less it sees, the more must be taken over from what it does see.
 import numpy as np
 
 from deblur_avatar.artifacts import Body, Cameras, Poses
-from deblur_avatar.avatar.body import posed_vertices, shaped_vertices
+from deblur_avatar.avatar.body import posed_meshes, shaped_vertices
 from deblur_avatar.imaging.mesh_rendering import View
 from deblur_avatar.imaging.visibility import seen_cells
 
@@ -25,18 +25,9 @@ def hidden_share(body: Body, poses: Poses, cameras: Cameras, camera: int) -> flo
     """
     count = len(poses.transl)
     chosen = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).round().astype(int))
-    frames = []
-    for index in chosen.tolist():
-        pose = poses.at([index])
-        frames.append(
-            posed_vertices(body, pose.betas, pose.global_orient, pose.body_pose, pose.transl)[0]
-            .double()
-            .numpy()
-        )
-    width, height = cameras.sizes[camera].tolist()
-    K, viewmat = cameras.Ks[camera].double().numpy(), cameras.viewmats[camera].double().numpy()
+    frames = [mesh.double().numpy() for mesh in posed_meshes(body, poses.at(chosen.tolist()))]
     faces = body.faces.numpy()
-    seen = seen_cells(frames, faces, View(K, viewmat, width, height, 1), CELLS)[:, 0, 0]
+    seen = seen_cells(frames, faces, View.of(cameras, camera, 1), CELLS)[:, 0, 0]
     corners = shaped_vertices(body, poses.betas).double().numpy()[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(across, axis=-1)

@@ -5,7 +5,6 @@ seed, against that seed's own `blind` and `oracle`. What the paper measured stan
 another data set (ZJU-MoCap with synthetic blur): only which row is better can be compared.
 """
 
-import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +14,13 @@ import jinja2
 
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pipeline.comparison import Result, compared
+from deblur_avatar.pipeline.comparison import Result, averaged, compared, spread
 from deblur_avatar.pipeline.report import read_results
 from deblur_avatar.pipeline.results_table import (
     DRAWING,
     FLIP,
     GAUSSIANS,
     LPIPS,
-    NOT_MEASURED,
     PSNR,
     RECOVERY,
     SEEN,
@@ -30,7 +28,7 @@ from deblur_avatar.pipeline.results_table import (
     TRAINING,
     Column,
     look_up,
-    shown,
+    shown_with_spread,
 )
 
 TEMPLATE = "ablations.html.jinja"
@@ -151,13 +149,6 @@ def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
     return AblationReport(_page(about, tables), text, _summary(seeds, scene, schedule))
 
 
-def mean_and_spread(values: Sequence[float | None]) -> tuple[float | None, float | None]:
-    """Over seeds; the spread of fewer than two is not known, the mean of none neither."""
-    known = [value for value in values if value is not None]
-    spread = statistics.stdev(known) if len(known) > 1 else None
-    return (statistics.fmean(known) if known else None), spread
-
-
 def _table(
     section: Section, seeds: Sequence[Mapping[str, Result]]
 ) -> tuple[Section, list[list[str]]]:
@@ -175,9 +166,8 @@ def _table(
 
 
 def _cell(results: Sequence[Result], column: Column) -> str:
-    mean, spread = mean_and_spread([look_up(result, column.path) for result in results])
-    text = shown(mean, column)
-    return text if spread is None or text == NOT_MEASURED else f"{text} ± {shown(spread, column)}"
+    mean, scatter = (look_up(over(results), column.path) for over in (averaged, spread))
+    return shown_with_spread(mean, scatter, column)
 
 
 def _markdown(section: Section, rows: list[list[str]]) -> str:
@@ -193,10 +183,10 @@ def _summary(seeds: Sequence[Mapping[str, Result]], scene: str, schedule: str) -
         results = [results[method] for results in seeds if method in results]
         content[method] = {"seeds": len(results)}
         for column in COLUMNS:
-            pair = mean_and_spread([look_up(result, column.path) for result in results])
-            content[method]["_".join(column.path)] = dict(
-                zip(("mean", "spread"), pair, strict=True)
-            )
+            content[method]["_".join(column.path)] = {
+                "mean": look_up(averaged(results), column.path),
+                "spread": look_up(spread(results), column.path),
+            }
     return {"scene": scene, "schedule": schedule, "methods": content}
 
 

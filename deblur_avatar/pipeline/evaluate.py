@@ -23,13 +23,13 @@ from deblur_avatar.avatar.motion_errors import pose_errors, travel_errors
 from deblur_avatar.imaging import metrics
 from deblur_avatar.imaging.color import srgb_to_linear
 from deblur_avatar.imaging.lpips import lpips_vgg
+from deblur_avatar.pipeline.comparison import RECOVERED
 from deblur_avatar.pipeline.reblur import reblur
 from deblur_avatar.pipeline.truth_views import TruthView, size_of, truth_views
 
 logger = logging.getLogger(__name__)
 
 TIMED_FRAMES = 20
-RECOVERED = ("psnr", "psnr_seen", "ssim", "flip", "lpips_vgg")
 
 
 @dataclass(frozen=True, eq=False)

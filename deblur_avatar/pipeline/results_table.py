@@ -123,10 +123,8 @@ def results_table(
         values = {method: look_up(results[method], column.path) for method in methods}
         ranks = _ranks({m: _rounded(values[m], column) for m in contestants}, column.better)
         for method, value in values.items():
-            text = shown(value, column, missing)
             scatter = look_up((spreads or {}).get(method, {}), column.path)
-            if value is not None and scatter is not None:
-                text = f"{text} \u00b1 {shown(scatter, column)}"
+            text = shown_with_spread(value, scatter, column, missing)
             cells[method].append(Cell(text, ranks.get(method)))
     return Table(
         columns=tuple(columns),
@@ -159,6 +157,16 @@ def shown(value: float | None, column: Column, missing: str = NOT_MEASURED) -> s
     text = f"{value * column.factor:,.{column.digits}f}".replace(",", "\u2009")
     # A rounded zero has no sign.
     return text.replace("-", "\u2212") if text.strip("-0.\u2009") else text.removeprefix("-")
+
+
+def shown_with_spread(
+    value: float | None, spread: float | None, column: Column, missing: str = NOT_MEASURED
+) -> str:
+    """A number and how far it scatters, where both are known."""
+    text = shown(value, column, missing)
+    if value is None or spread is None:
+        return text
+    return f"{text} \u00b1 {shown(spread, column)}"
 
 
 def markdown(table: Table) -> str:

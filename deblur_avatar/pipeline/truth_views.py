@@ -16,7 +16,7 @@ from torch import Tensor
 
 from deblur_avatar import run
 from deblur_avatar.artifacts import Observations, Reference
-from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.avatar.body import posed_meshes
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.mesh_rendering import View
 from deblur_avatar.imaging.resampling import Crop, crop_and_scale
@@ -130,16 +130,18 @@ def _seen_masks(
 
     Hair and clothes stand out from that body: beside it the nearest of its pixels decides.
     """
-    cameras = reference.camera_indices.tolist()
+    shown = reference.camera_indices.tolist()
     if reference.seen is not None:
-        return [_cut(observations, cameras[v], reference.seen[v]) > HALF for v, _, _ in chosen]
+        return [_cut(observations, shown[v], reference.seen[v]) > HALF for v, _, _ in chosen]
     faces = observations.body.faces.numpy()
-    vertices = _vertices(observations)
+    vertices = [mesh.numpy() for mesh in posed_meshes(observations.body, observations.poses)]
+    cameras = observations.cameras
     training = [vertices[position] for position in observations.train]
-    cells = seen_cells(training, faces, _view(observations, observations.train_camera), SEEN_CELLS)
+    filmed = View.of(cameras, observations.train_camera, RAYS_PER_AXIS)
+    cells = seen_cells(training, faces, filmed, SEEN_CELLS)
     masks = []
     for view, position, _ in run.progress(chosen, "seen surface"):
-        camera = _view(observations, cameras[view])
+        camera = View.of(cameras, shown[view], RAYS_PER_AXIS)
         body = seen_pixels(vertices[position], faces, camera, np.ones_like(cells))
         masks.append(_spread(seen_pixels(vertices[position], faces, camera, cells), body))
     return masks
@@ -155,25 +157,3 @@ def _spread(seen: Bool[np.ndarray, "H W"], body: Bool[np.ndarray, "H W"]) -> Boo
     value_of_label = np.zeros(int(labels.max()) + 1, bool)
     value_of_label[labels[body]] = seen[body]
     return torch.from_numpy(value_of_label[labels])
-
-
-def _vertices(observations: Observations) -> list[np.ndarray]:
-    """Frame by frame, to bound the memory that pose blend shapes take."""
-    frames = (observations.poses.at([i]) for i in range(len(observations.frames)))
-    return [
-        posed_vertices(
-            observations.body, pose.betas, pose.global_orient, pose.body_pose, pose.transl
-        )[0].numpy()
-        for pose in frames
-    ]
-
-
-def _view(observations: Observations, camera: int) -> View:
-    width, height = size_of(observations, camera)
-    return View(
-        observations.cameras.Ks[camera].double().numpy(),
-        observations.cameras.viewmats[camera].double().numpy(),
-        width,
-        height,
-        RAYS_PER_AXIS,
-    )

@@ -98,17 +98,6 @@ def test_the_anchor_weighs_shifts_against_turns():
     assert float(shifted.priors()["anchor"]) == pytest.approx(0.01, rel=1e-3)
 
 
-def test_steady_motion_does_not_bend_and_a_jerk_does():
-    motion = clip_motion(circling(40), exposure=2 / 60)
-    steady = float(motion.priors()["bending"].detach())
-    with torch.no_grad():
-        motion.transl[5] += 0.1
-    jerked = float(motion.priors()["bending"].detach())
-    # Second differences of a single knot: 1, -2, 1, of three axes.
-    expected = 3 * 6 * (0.1 / LEVER) ** 2 / (len(motion.transl) - 2)
-    assert jerked - steady == pytest.approx(expected, rel=0.05)
-
-
 def test_the_shutter_is_an_unknown_only_where_it_is_estimated():
     poses, times = circling(12), torch.arange(12) / 60
     for estimated in (False, True):

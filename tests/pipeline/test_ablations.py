@@ -3,7 +3,7 @@ import json
 import pytest
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pipeline.ablations import mean_and_spread, report_ablations
+from deblur_avatar.pipeline.ablations import report_ablations
 
 
 def write(folder, seed, method, psnr):
@@ -50,10 +50,12 @@ def test_what_nobody_ran_has_no_row_and_what_nobody_measured_no_number(results):
     assert "not measured" in report.tables
 
 
-def test_one_seed_has_no_spread():
-    assert mean_and_spread([3.0]) == (3.0, None)
-    assert mean_and_spread([None, None]) == (None, None)
-    assert mean_and_spread([1.0, None, 3.0]) == (2.0, pytest.approx(2**0.5))
+def test_one_seed_has_no_spread(tmp_path):
+    write(tmp_path, 0, "blind", 26.0)
+    write(tmp_path, 0, "paper", 28.0)
+    report = report_ablations(tmp_path, "studio", "quick")
+    assert report.summary["methods"]["paper"]["image_psnr"] == {"mean": 28.0, "spread": None}
+    assert "| full | 28.00 |" in report.tables
 
 
 def test_no_results_at_all_are_refused(tmp_path):
