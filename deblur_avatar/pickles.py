@@ -7,11 +7,14 @@ records stand in (neither package is imported, no code of theirs runs); plain co
 makes is not much larger than the file, whose size is bounded.
 """
 
+import io
 import math
 import pickle
 import pickletools
+import re
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,6 +24,7 @@ from scipy import sparse
 
 from deblur_avatar.errors import ArtifactError
 
+MOST_DEPTH, MOST_OBJECTS = 60, 10_000_000  # numpy's arrays have up to 64 dimensions
 MOST_BYTES = 1 << 30  # of a file, and of an array that unfolds; SMPL's largest file has 250 MB
 
 
@@ -56,9 +60,11 @@ def load_npy(path: Path) -> NDArray[Any] | dict[str, Any]:
         ArtifactError: as `load_arrays`, and for arrays of other objects.
     """
     content = _read(Path(path), _npy_content)
-    if isinstance(content, np.ndarray) and content.dtype.hasobject:
-        return _dictionary(content.item() if content.size == 1 else content, path)
-    return content
+    if isinstance(content, np.ndarray) and not content.dtype.hasobject:
+        return content
+    if isinstance(content, np.ndarray) and content.size == 1:
+        content = content.item()
+    return _dictionary(content, path)
 
 
 def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
@@ -69,8 +75,8 @@ def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
                 f"{path} has {size >> 20} MB, at most {MOST_BYTES >> 20} MB are read; "
                 "is it the file it should be?"
             )
-        with path.open("rb") as file:
-            return reader(file)
+        # From memory, which has no more bytes than there are, whatever the file claims.
+        return reader(io.BytesIO(path.read_bytes()))
     except ArtifactError:
         raise
     except OSError as error:
@@ -89,12 +95,49 @@ def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
 
 def _unpickled(file: BinaryIO) -> Any:
     begin = file.tell()
+    stack: list[int | None] = []
+    memo: dict[int, int] = {}
     for count, (operation, argument, _) in enumerate(pickletools.genops(file)):
+        _follow(operation, argument, stack, memo)
         # Python's memo is a list: one far index would allocate everything before it.
         if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > count + 1:
             raise ValueError(f"an object is numbered {argument} among {count}")
     file.seek(begin)
     return _RestrictedUnpickler(file, encoding="latin1").load()
+
+
+def _follow(
+    operation: pickletools.OpcodeInfo, argument: Any, stack: list[int | None], memo: dict[int, int]
+) -> None:
+    """Keep on the stack how deep every object is nested; None is a mark.
+
+    Python hashes a tuple in a tuple in a tuple until its own stack ends, and the process with it.
+    """
+    name, before = operation.name, operation.stack_before
+    if name == "MARK":
+        stack.append(None)
+        return
+    if "PUT" in name or name == "MEMOIZE":
+        memo[len(memo) if name == "MEMOIZE" else int(argument)] = stack[-1] or 0
+        return
+    if name.endswith("GET"):
+        stack.append(memo.get(int(argument), 0))
+        return
+    taken = []
+    if pickletools.markobject in before:
+        while (depth := stack.pop()) is not None:
+            taken.append(depth)
+        below = before.index(pickletools.markobject)
+    else:
+        below = len(before)
+    taken += [stack.pop() or 0 for _ in range(below)]
+    inside, itself = taken, 0
+    if name in ("APPEND", "APPENDS", "SETITEM", "SETITEMS", "ADDITEMS", "BUILD"):
+        inside, itself = taken[:-1], taken[-1]  # what comes into a container, and that
+    depth = max(itself, 1 + max(inside, default=-1))
+    if depth > MOST_DEPTH:
+        raise ValueError(f"objects are nested over {MOST_DEPTH} levels deep")
+    stack += [depth] * len(operation.stack_after)
 
 
 def _npy_content(file: BinaryIO) -> Any:
@@ -105,16 +148,50 @@ def _npy_content(file: BinaryIO) -> Any:
         shape, _, dtype = np.lib.format.read_array_header_2_0(file)
     if dtype.hasobject:
         return _unpickled(file)
-    if math.prod(shape) * dtype.itemsize > MOST_BYTES:
-        raise ValueError(f"an array of shape {shape} is too large")
+    rest = len(file.read())
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > rest:
+        raise ValueError(f"an array of shape {shape!s:.60} does not fit into {rest} bytes")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _dictionary(content: Any, path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
-        raise ArtifactError(f"{path} holds a {type(content).__name__}, wanted a dictionary")
+        kind = "ndarray" if isinstance(content, np.ndarray) else type(content).__name__
+        raise ArtifactError(f"{path} holds a {kind}, wanted a dictionary")
+    if not all(isinstance(key, str | int) for key in content):
+        raise ArtifactError(f"{path} holds a dictionary whose keys are not all words")
+    try:
+        _unfolded(content, {}, 0)
+    except ValueError as error:
+        raise ArtifactError(f"{path} is not a readable file: {error}") from None
     return {str(key): _plain(value, f"{path}: {key}") for key, value in content.items()}
+
+
+def _unfolded(value: Any, known: dict[int, int | None], depth: int) -> int:
+    """How many objects one stands for where others are in it more than once."""
+    parts: Iterable[Any] = ()
+    if isinstance(value, dict):
+        parts = value.values()
+    elif isinstance(value, list | tuple | set | frozenset):
+        parts = value
+    elif isinstance(value, Record):
+        parts = value.state.values()
+    elif isinstance(value, np.ndarray) and value.dtype.hasobject:
+        parts = value.ravel().tolist()
+    if not parts:
+        return 1
+    if id(value) not in known:
+        if depth > MOST_DEPTH:
+            raise ValueError(f"objects are nested over {MOST_DEPTH} levels deep")
+        known[id(value)] = None
+        known[id(value)] = 1 + sum(_unfolded(part, known, depth + 1) for part in parts)
+    count = known[id(value)]
+    if count is None:
+        raise ValueError("an object holds itself")
+    if count > MOST_OBJECTS:
+        raise ValueError(f"it unfolds to over {MOST_OBJECTS} objects")
+    return count
 
 
 class _Refused(Exception):  # noqa: N818
@@ -127,23 +204,50 @@ class _RestrictedUnpickler(pickle.Unpickler):
             return _ADMITTED[module, name]
         root = module.split(".")[0]
         if root == "chumpy" or (module.startswith("scipy.sparse") and name in _SPARSE):
-            return type("Record", (Record,), {"name": f"{root}.{name}"})
+            return _record_class(f"{root}.{name}")
         raise _Refused(f"{module}.{name}")
 
     def persistent_load(self, key: object) -> Any:
         raise _Refused(f"a persistent object {key!r}")
 
 
+@lru_cache(maxsize=100)  # a class takes 1 kB, its name in a file a few bytes
+def _record_class(name: str) -> type[Record]:
+    return type("Record", (Record,), {"name": name})
+
+
+class _Kind:
+    """Stands in for a dtype while it is read: numpy's own take any state, offsets beyond memory."""
+
+    def __init__(self, code: str, *flags: object) -> None:
+        if not isinstance(code, str) or not re.fullmatch("[<>=|]?[biufcSUOVMm?][0-9]{0,9}", code):
+            raise _Refused(f"a dtype {code!r:.60}")
+        self.dtype = np.dtype(code)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        if any(part is not None for part in state[2:5]):
+            raise ValueError("an array of records or of arrays")
+        self.dtype = self.dtype.newbyteorder(state[1])
+
+
+class _Array(np.ndarray):
+    """An array whose dtype is a `_Kind`."""
+
+    def __setstate__(self, state: Any) -> None:
+        version, shape, kind, fortran, content = state
+        super().__setstate__((version, shape, kind.dtype, fortran, content))
+
+
 def _empty_array(kind: object, shape: object, code: object) -> NDArray[Any]:
     """What numpy's pickles start from; the content is set afterwards."""
-    return np.ndarray((0,), np.int8)
+    return _Array((0,), np.int8)
 
 
 def _array_of_buffer(
-    buffer: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: str = "C"
+    buffer: bytes, kind: _Kind, shape: tuple[int, ...], order: str = "C"
 ) -> NDArray[Any]:
     """What numpy's pickles of protocol 5 call; numpy itself refuses to make objects of bytes."""
-    flat: NDArray[Any] = np.frombuffer(buffer, dtype)
+    flat: NDArray[Any] = np.frombuffer(buffer, kind.dtype)
     return flat.reshape(shape, order="F" if order == "F" else "C")
 
 
@@ -158,11 +262,10 @@ class _ArrayKind:
     """What numpy's pickles name as the class of an array; numpy's own would allocate any size."""
 
 
-def _scalar(dtype: np.dtype[Any], content: bytes | str) -> Any:
+def _scalar(kind: _Kind, content: bytes | str) -> Any:
     # Python 2's bytes arrive as text.
-    return np.frombuffer(content.encode("latin1") if isinstance(content, str) else content, dtype)[
-        0
-    ]
+    buffer = content.encode("latin1") if isinstance(content, str) else content
+    return np.frombuffer(buffer, kind.dtype)[0]
 
 
 def _reconstruct(kind: type, base: type, state: object) -> Record:
@@ -184,7 +287,7 @@ _NUMPY = ("numpy.core.multiarray", "numpy._core.multiarray")
 _NUMERIC = ("numpy.core.numeric", "numpy._core.numeric")
 _ADMITTED: dict[tuple[str, str], Any] = {
     ("numpy", "ndarray"): _ArrayKind,
-    ("numpy", "dtype"): np.dtype,
+    ("numpy", "dtype"): _Kind,
     **{(module, "_reconstruct"): _empty_array for module in _NUMPY},
     **{(module, "scalar"): _scalar for module in _NUMPY},
     **{(module, "_frombuffer"): _array_of_buffer for module in _NUMERIC},

@@ -53,6 +53,13 @@ def read_smpl(path: Path, shape_components: int) -> Body:
             f"{shape_components}"
         )
     shape_dirs = shape_dirs[:, :, :shape_components]
+    try:
+        return _body(content, shape_dirs)
+    except ArtifactError as error:
+        raise ArtifactError(f"{path}: {error}") from None
+
+
+def _body(content: dict[str, Any], shape_dirs: Any) -> Body:
     regressor = content["J_regressor"]
     return Body(
         vertices=_tensor(content["v_template"]),
@@ -102,6 +109,8 @@ def _checked(path: Path, content: dict[str, Any]) -> dict[str, Any]:
             raise ArtifactError(f"{path}: {key} holds values that are not finite")
         arrays[key] = array
     weights = arrays["weights"]
+    if not weights.size:
+        raise ArtifactError(f"{path}: weights must be [V J], got {weights.shape}")
     if weights.min() < 0 or abs(weights.sum(1) - 1).max() > ROW_SUM:
         raise ArtifactError(f"{path}: rows of weights must be shares that sum to 1")
     # The root's parent is written as -1 or as the largest unsigned number.

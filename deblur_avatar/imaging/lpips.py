@@ -12,7 +12,6 @@ Source: Zhang et al., "The unreasonable effectiveness of deep features as a perc
 
 import logging
 import os
-import pickle
 from functools import cache
 from pathlib import Path
 
@@ -126,9 +125,12 @@ def _vgg16_features() -> nn.Sequential:
 def _read(path: Path, variable: str) -> dict[str, Tensor]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        raise ConfigError(f"{variable}={path} cannot be read: {error}") from error
-    if not isinstance(content, dict):
+    except Exception as error:
+        # Damaged weights can raise nearly anything from inside torch.
+        raise ConfigError(f"{variable}={path} cannot be read: {error!r}") from error
+    if not isinstance(content, dict) or not all(
+        isinstance(name, str) and isinstance(value, Tensor) for name, value in content.items()
+    ):
         raise ConfigError(f"{variable}={path} holds {type(content).__name__}, not weights by name")
     return content
 

@@ -9,14 +9,19 @@ import io
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, UInt8
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from deblur_avatar.errors import ArtifactError
 
+T = TypeVar("T")
+
+# Not PostScript, which Pillow would hand to Ghostscript to run.
+FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "GIF")
 JPEG_QUALITY = 90  # of 100: compression is not seen beside what is being shown
 MOST_PIXELS = 100_000_000  # a small file can unfold to any size; this is 300 MB
 SIXTEEN_BITS = ("I;16", "I;16B", "I;16L", "I")  # Pillow's modes of grey pictures
@@ -62,6 +67,24 @@ def read_mask(path: Path) -> Bool[np.ndarray, "H W"]:
     return _decoded(Path(path), _nonzero)
 
 
+def read_values(path: Path) -> tuple[np.ndarray, str]:
+    """Read a picture's values as they are stored, and Pillow's name for what they mean.
+
+    Raises:
+        ArtifactError: if it is missing, damaged, too large or no picture.
+    """
+    return _decoded(Path(path), lambda image: (np.array(image), image.mode))
+
+
+def read_exif(path: Path) -> dict[int, Any]:
+    """What a camera wrote about how it took a picture, by the numbers of EXIF.
+
+    Raises:
+        ArtifactError: if it is missing, damaged, too large or no picture.
+    """
+    return _decoded(Path(path), lambda image: image.getexif().get_ifd(ExifTags.IFD.Exif))
+
+
 def encoded(picture: UInt8[np.ndarray, "H W 3"], suffix: str) -> bytes:
     """The bytes of a `.png` or `.jpg` file."""
     quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == ".jpg" else []
@@ -71,7 +94,7 @@ def encoded(picture: UInt8[np.ndarray, "H W 3"], suffix: str) -> bytes:
     return content.tobytes()
 
 
-def _decoded(path: Path, convert: Callable[[Image.Image], np.ndarray]) -> np.ndarray:
+def _decoded(path: Path, convert: Callable[[Image.Image], T]) -> T:
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -79,7 +102,7 @@ def _decoded(path: Path, convert: Callable[[Image.Image], np.ndarray]) -> np.nda
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below
-            image = Image.open(io.BytesIO(content))
+            image = Image.open(io.BytesIO(content), formats=FORMATS)
         width, height = image.size
         if width * height > MOST_PIXELS:
             raise ArtifactError(

@@ -1,11 +1,11 @@
 """What fitting a run cost, gathered from the measurements of its three stages."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from deblur_avatar.config import RunParams
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.run import read_json
 
 STAGES = ("warmup", "trajectory", "fusion")
 
@@ -49,8 +49,8 @@ def _sum(values: list[float | None]) -> float | None:
 def _read(path: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
-    try:
-        content = json.loads(path.read_text())
-        return {"seconds": content["seconds"], "peak_memory_mb": content["peak_memory_mb"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ArtifactError(f"{path} is damaged: {error}; run `dvc repro`") from error
+    content = read_json(path)
+    found = {key: content.get(key) for key in ("seconds", "peak_memory_mb")}
+    if not all(isinstance(value, int | float) for value in found.values()):
+        raise ArtifactError(f"{path} is damaged: it says {found!r:.200}; run `dvc repro`")
+    return found

@@ -83,7 +83,7 @@ def _views(folder: Path) -> dict[tuple[str, int], dict[str, Any]]:
         return {(view["camera"], view["frame"]): view for view in json.loads(path.read_text())}
     except OSError as error:
         raise ArtifactError(f"cannot read {path}: {error.strerror}; run `dvc repro`") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from None
 
 

@@ -223,15 +223,7 @@ def read_results(metrics: Path) -> dict[str, Results]:
 
 def _read(path: Path) -> dict[str, Any]:
     """A metrics file; empty if there is none."""
-    if not path.exists():
-        return {}
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ArtifactError(f"{path} is damaged: {error}; run `dvc repro`") from None
-    if not isinstance(content, dict):
-        raise ArtifactError(f"{path} holds a {type(content).__name__}; run `dvc repro`")
-    return content
+    return run.read_json(path) if path.exists() else {}
 
 
 def _summary(scenes: Mapping[str, Results]) -> dict[str, Any]:

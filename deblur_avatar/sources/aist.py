@@ -17,6 +17,8 @@ from deblur_avatar.pickles import load_arrays
 
 FPS = 60.0
 JOINTS = 24
+SMALLEST = 1e-6  # scale of a body
+LARGEST = 1e9  # of an angle or a place
 
 
 def read_aist(path: Path) -> BodyMotion:
@@ -34,7 +36,7 @@ def read_aist(path: Path) -> BodyMotion:
         )
     try:
         poses, trans, scaling = (np.asarray(content[key], np.float32) for key in keys)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ArtifactError(f"{path}: {error}") from None
     frames = len(poses) if poses.ndim == 2 else 0
     if frames < 1 or poses.shape != (frames, 3 * JOINTS) or trans.shape != (frames, 3):
@@ -43,8 +45,12 @@ def read_aist(path: Path) -> BodyMotion:
             f"got {poses.shape} and {trans.shape}"
         )
     finite = np.isfinite(poses).all() and np.isfinite(trans).all() and np.isfinite(scaling).all()
-    if scaling.size != 1 or not finite or float(scaling.reshape(())) <= 0:
-        raise ArtifactError(f"{path}: wanted finite numbers and a positive smpl_scaling")
+    if scaling.size != 1 or not finite or not float(scaling.reshape(())) >= SMALLEST:
+        raise ArtifactError(
+            f"{path}: wanted finite numbers and a positive smpl_scaling, {SMALLEST:g} or more"
+        )
+    if max(abs(poses).max(), abs(trans).max()) > LARGEST:
+        raise ArtifactError(f"{path}: smpl_poses and smpl_trans must be under {LARGEST:g}")
     axis_angle = torch.from_numpy(poses).reshape(frames, JOINTS, 3)
     return BodyMotion(
         fps=FPS,

@@ -19,6 +19,8 @@ from deblur_avatar.npz_files import load_npz
 
 BODY = 66  # numbers of the root and the 21 joints that all models of the family share
 RATES = ("mocap_framerate", "mocap_frame_rate")  # SMPL-H files and SMPL-X files
+FASTEST = 1e6  # frames a second
+LARGEST = 1e6  # of an angle or a place
 WIDTHS = (66, 72, 156, 165)  # the body alone, SMPL, SMPL-H, SMPL-X
 
 
@@ -44,13 +46,21 @@ def read_amass(path: Path) -> BodyMotion:
     numbers = [array for array in (poses, trans, rate) if array.dtype.kind in "fiu"]
     if len(numbers) < 3 or not all(np.isfinite(array).all() for array in numbers):
         raise ArtifactError(f"{path}: poses, trans and mocap_framerate must be finite numbers")
-    if rate.size != 1 or float(rate) <= 0 or len(poses) < 1:
-        raise ArtifactError(f"{path}: wanted frames and a positive mocap_framerate, got {rate}")
+    fps = float(rate.reshape(-1)[0]) if rate.size == 1 else 0.0
+    if not 0 < fps <= FASTEST or len(poses) < 1:
+        raise ArtifactError(
+            f"{path}: wanted frames and a positive mocap_framerate, got {rate!s:.80} and "
+            f"{len(poses)} frames (at most {FASTEST:g} a second are read)"
+        )
+    if max(abs(poses[:, :BODY]).max(), abs(trans).max()) > LARGEST:
+        raise ArtifactError(
+            f"{path}: poses and trans must be radians and metres, under {LARGEST:g}"
+        )
     axis_angle = torch.from_numpy(poses[:, :BODY].astype(np.float32)).reshape(-1, BODY // 3, 3)
     upright = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # +Z to +Y
     hands = axis_angle.new_zeros(len(axis_angle), 2, 3)
     return BodyMotion(
-        fps=float(rate),
+        fps=fps,
         global_orient=matrix_to_axis_angle(upright @ axis_angle_to_matrix(axis_angle[:, 0])),
         body_pose=torch.cat([axis_angle[:, 1:], hands], dim=1),
         transl=torch.from_numpy(trans.astype(np.float32)) @ upright.T,

@@ -6,7 +6,7 @@ joints are ignored. Axes and unit of length are the file's own: `avatar/retarget
 former and is indifferent to the latter.
 """
 
-import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +19,9 @@ from deblur_avatar.avatar.driving_motion import SkeletonMotion
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 
+LARGEST = 1e9  # of any number, in degrees or the file's unit of length
+MOST_TURNS = 5_000_000  # frames times joints: 72 bytes each
+SHORTEST_STEP = 1e-6  # seconds
 _POSITIONS = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _ROTATIONS = {"Xrotation": 0, "Yrotation": 1, "Zrotation": 2}
 _Lines = Iterator[tuple[int, list[str]]]
@@ -50,10 +53,18 @@ def read_bvh(path: Path) -> SkeletonMotion:
     frames = _count(words[1], path)
     number, words = _expect(lines, path, ["Frame", "Time:", 1])
     step = _numbers(words[2:], 1, path, number)[0]
-    if step <= 0:
-        raise ArtifactError(f"{path}:{number}: Frame Time must be positive, got {step:g}")
+    if step < SHORTEST_STEP:
+        raise ArtifactError(
+            f"{path}:{number}: Frame Time must be positive, got {step:g} (at least "
+            f"{SHORTEST_STEP:g} s)"
+        )
     width = sum(len(joint.channels) for joint in joints)
     values = _motion(lines, path, frames, width)
+    if len(values) * len(joints) > MOST_TURNS:
+        raise ArtifactError(
+            f"{path} has {len(values)} frames of {len(joints)} joints, at most {MOST_TURNS} turns "
+            "of a joint are read; cut it, or leave joints out"
+        )
     return _assemble(joints, values, 1 / step)
 
 
@@ -105,15 +116,14 @@ def _check_channels(names: list[str], count: str, where: str) -> None:
 
 
 def _motion(lines: _Lines, path: Path, frames: int, width: int) -> NDArray[np.float64]:
-    values = np.empty((frames, width))
-    for index in range(frames):
-        number, words = next(lines, (0, []))
-        if not words:
-            raise ArtifactError(f"{path}: Frames says {frames}, the file ends after {index}")
-        values[index] = _numbers(words, width, path, number)
+    rows: list[list[float]] = []
     for number, words in lines:
-        raise ArtifactError(f"{path}:{number}: Frames says {frames}, but {words[0]} follows")
-    return values
+        if len(rows) == frames:
+            raise ArtifactError(f"{path}:{number}: Frames says {frames}, but {words[0]} follows")
+        rows.append(_numbers(words, width, path, number))
+    if len(rows) < frames:
+        raise ArtifactError(f"{path}: Frames says {frames}, the file ends after {len(rows)}")
+    return np.array(rows)
 
 
 def _assemble(joints: list[_Joint], values: NDArray[np.float64], fps: float) -> SkeletonMotion:
@@ -155,8 +165,8 @@ def _expect(lines: _Lines, path: Path, pattern: list[str | int]) -> tuple[int, l
 
 
 def _count(word: str, path: Path) -> int:
-    if not word.isdecimal() or int(word) < 1:
-        raise ArtifactError(f"{path}: Frames must be a positive number, got {word!r}")
+    if not re.fullmatch("[0-9]{1,18}", word) or int(word) < 1:
+        raise ArtifactError(f"{path}: Frames must be a positive number, got {word!r:.30}")
     return int(word)
 
 
@@ -165,9 +175,9 @@ def _numbers(words: list[str], count: int, path: Path, number: int) -> list[floa
         values = [float(word) for word in words]
     except ValueError as error:
         raise ArtifactError(f"{path}:{number}: {error}") from None
-    if len(values) != count or not all(map(math.isfinite, values)):
+    if len(values) != count or not all(abs(value) <= LARGEST for value in values):
         raise ArtifactError(
-            f"{path}:{number}: wanted {count} finite numbers, got {' '.join(words)[:60]!r} "
-            f"({len(words)} of them)"
+            f"{path}:{number}: wanted {count} finite numbers (at most {LARGEST:g}), "
+            f"got {' '.join(words)[:60]!r} ({len(words)} of them)"
         )
     return values

@@ -6,6 +6,7 @@ pixel at (0.5, 0.5).
 """
 
 import math
+import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
@@ -20,6 +21,7 @@ from deblur_avatar.artifacts import Cameras
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
 
+LONGEST_SIDE = 100_000  # pixels
 PIXEL_CENTRE = 0.5  # both formats put the top left pixel's centre at 0
 
 
@@ -28,7 +30,7 @@ class _Camera(NamedTuple):
     K: np.ndarray
     viewmat: np.ndarray
     distortion: np.ndarray
-    size: tuple[int, int]
+    size: tuple[float, float]  # width, height
 
 
 def read_calibration(path: Path, count: int) -> Cameras:
@@ -49,25 +51,39 @@ def read_calibration(path: Path, count: int) -> Cameras:
         raise ArtifactError(f"no calibration {path}; check the scene's root and calibration")
     try:
         cameras = readers[0](path)
-    except (ElementTree.ParseError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ArtifactError:
+        raise
+    except OSError as error:
+        raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
+    except Exception as error:
+        # XML and TOML raise more than their own errors: an unknown encoding, nesting, long numbers.
         raise ArtifactError(f"{path} is damaged: {error}") from error
     if len(cameras) != count:
         names = ", ".join(camera.name for camera in cameras)
         raise ArtifactError(f"{path} has {len(cameras)} cameras ({names}), the scene {count}")
     for camera in cameras:
+        if not all(1 <= side <= LONGEST_SIDE for side in camera.size):
+            size = " x ".join(f"{side:.6g}" for side in camera.size)
+            raise ArtifactError(
+                f"{path}: camera {camera.name}: its pictures have {size} pixels, wanted 1 to "
+                f"{LONGEST_SIDE} on a side"
+            )
         numbers = torch.from_numpy(camera.K)[None], torch.from_numpy(camera.viewmat)[None]
         try:
             check_cameras(*numbers)
         except ValueError as error:
             reason = str(error).removeprefix("camera 0: ")
             raise ArtifactError(f"{path}: camera {camera.name}: {reason}") from error
-    return Cameras(
-        Ks=_stacked([camera.K for camera in cameras]),
-        viewmats=_stacked([camera.viewmat for camera in cameras]),
-        distortion=_stacked([camera.distortion for camera in cameras]),
-        sizes=torch.tensor([camera.size for camera in cameras]),
-        names=tuple(camera.name for camera in cameras),
-    )
+    try:
+        return Cameras(
+            Ks=_stacked([camera.K for camera in cameras]),
+            viewmats=_stacked([camera.viewmat for camera in cameras]),
+            distortion=_stacked([camera.distortion for camera in cameras]),
+            sizes=torch.tensor([[round(side) for side in camera.size] for camera in cameras]),
+            names=tuple(camera.name for camera in cameras),
+        )
+    except ArtifactError as error:
+        raise ArtifactError(f"{path}: {error}") from None
 
 
 def _stacked(arrays: list[np.ndarray]) -> torch.Tensor:
@@ -107,13 +123,16 @@ def _qualisys_camera(path: Path, node: ElementTree.Element) -> _Camera:
         K=K,
         viewmat=_rigid(opencv_from_world, -opencv_from_world @ centre),
         distortion=np.array([number("intrinsic", key) for key in coefficients]),
-        size=(round(size[0]), round(size[1])),
+        size=size,
     )
 
 
 def _read_pose2sim(path: Path) -> list[_Camera]:
     """Pose2Sim's TOML: a table a camera, OpenCV's conventions, rotation as axis-angle, metres."""
-    tables = tomllib.loads(path.read_text())
+    text = path.read_text()
+    if re.search(r"(\w+\s*\.\s*){9}", text):  # tomllib needs time and memory as their square
+        raise ArtifactError(f"{path} is damaged: tables are nested nine levels deep, wanted one")
+    tables = tomllib.loads(text)
     return [
         _pose2sim_camera(f"{path}: camera {key}", key, table)
         for key, table in tables.items()
@@ -131,14 +150,12 @@ def _pose2sim_camera(where: str, key: str, table: Mapping[str, Any]) -> _Camera:
         raise ArtifactError(f"{where}: distortions must be 4 or 5 numbers, got {len(distortion)}")
     rotation, _ = cv2.Rodrigues(_array(table, "rotation", where, (3,)))
     size = _array(table, "size", where, (2,))
-    if not np.isfinite(size).all():
-        raise ArtifactError(f"{where}: size must be finite, got {size.tolist()}")
     return _Camera(
         name=str(table.get("name", key)),
         K=K,
         viewmat=_rigid(rotation, _array(table, "translation", where, (3,))),
         distortion=np.pad(distortion, (0, 5 - len(distortion))),
-        size=(round(size[0]), round(size[1])),
+        size=(float(size[0]), float(size[1])),
     )
 
 
@@ -155,8 +172,8 @@ def _array(
         raise ArtifactError(f"{where}: {key} is missing")
     try:
         values = np.array(table[key], dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArtifactError(f"{where}: {key} must be numbers, got {table[key]!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ArtifactError(f"{where}: {key} must be numbers, got {table[key]!r:.80}") from error
     if len(values.shape) != len(shape) or any(
         wanted not in (None, found) for wanted, found in zip(shape, values.shape, strict=True)
     ):

@@ -8,8 +8,10 @@ import math
 import re
 from pathlib import Path
 
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags
 
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.picture_files import read_exif
 from deblur_avatar.sources.footage import PICTURES, files_in_order
 from deblur_avatar.sources.video_files import container_metadata
 
@@ -37,10 +39,10 @@ def focal_of_view(degrees: float, size: tuple[int, int]) -> float:
 
 
 def _of_pictures(folder: Path) -> float | None:
+    pictures = files_in_order(folder, PICTURES)
     try:
-        with Image.open(files_in_order(folder, PICTURES)[0]) as picture:
-            entries = picture.getexif().get_ifd(ExifTags.IFD.Exif)
-    except (OSError, IndexError, UnidentifiedImageError):
+        entries = read_exif(pictures[0]) if pictures else {}
+    except ArtifactError:  # the picture may be sound even so
         return None
     return _number(entries.get(ExifTags.Base.FocalLengthIn35mmFilm))
 

@@ -35,7 +35,11 @@ def file_inside(folder: Path, name: str) -> Path:
         ArtifactError: if it leaves the folder, by its name or through a symbolic link.
     """
     path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
+    try:
+        inside = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links; a name with a zero byte
+        raise ArtifactError(f"{folder} can hold no file {name!r:.200}: {error}") from None
+    if not inside:
         raise ArtifactError(
             f"{name!r} leads out of {folder}; nothing outside of it is read, copy the files there"
         )

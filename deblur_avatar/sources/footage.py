@@ -81,7 +81,7 @@ def files_in_order(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:
     pieces = re.split(r"(\d+)", path.name)
-    return [(0, int(piece), "") if piece.isdigit() else (1, 0, piece) for piece in pieces]
+    return [(0, int(piece), "") if piece.isdecimal() else (1, 0, piece) for piece in pieces]
 
 
 def _read_folder(

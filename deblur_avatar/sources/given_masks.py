@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import UInt8
-from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.picture_files import read_values
 from deblur_avatar.sources.footage import PICTURES, files_in_order
 
 SAME_SHAPE = 0.02  # share by which a mask's aspect may differ from its frame's
@@ -50,12 +50,7 @@ def read_masks(
 
 
 def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
-    try:
-        with Image.open(path) as picture:
-            values = np.array(picture)
-            mode = picture.mode
-    except (OSError, UnidentifiedImageError, ValueError) as error:
-        raise ArtifactError(f"{path} is not a picture: {error}") from None
+    values, mode = read_values(path)
     if values.ndim == 3:
         # The alpha channel of a mask is mostly solid; where there is colour, that counts.
         colour = values[..., :-1] if mode in ("LA", "RGBA", "PA") else values

@@ -10,7 +10,6 @@ person who moves. The background is taken away, so nothing else is left of the c
 one still camera with the body moving before it explains every frame exactly.
 """
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,10 @@ from deblur_avatar.avatar.body import shaped_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.npz_files import load_npz
+
+KEYS = ("poses", "global_orient", "body_pose", "transl", "betas", "viewmats")
+LARGEST = 1e6  # of an angle or a place
 
 
 def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Body) -> Poses:
@@ -39,7 +42,10 @@ def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Bo
             the array, what was wanted and what came.
     """
     arrays = _arrays(path)
-    if "poses" in arrays and not {"global_orient", "body_pose"} <= arrays.keys():
+    if (
+        arrays.get("poses", np.zeros(0)).size
+        and not {"global_orient", "body_pose"} <= arrays.keys()
+    ):
         whole = arrays["poses"].reshape(len(arrays["poses"]), -1)
         arrays["global_orient"], arrays["body_pose"] = whole[:, :3], whole[:, 3:]
     joints, shapes = len(body.parents) - 1, body.shape_dirs.shape[2]
@@ -56,12 +62,15 @@ def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Bo
             "one body model: name that model under bodies, or change shape_components"
         )
     chosen = list(numbers)
-    poses = Poses(
-        betas=torch.from_numpy(betas).float(),
-        global_orient=orient[chosen],
-        body_pose=pose[chosen],
-        transl=transl[chosen],
-    )
+    try:
+        poses = Poses(
+            betas=torch.from_numpy(betas).float(),
+            global_orient=orient[chosen],
+            body_pose=pose[chosen],
+            transl=transl[chosen],
+        )
+    except ArtifactError as error:
+        raise ArtifactError(f"{path}: {error}") from None
     if "viewmats" not in arrays:
         return poses
     viewmats = arrays["viewmats"]
@@ -97,13 +106,18 @@ def before_still_camera(
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
+    if not path.is_file():
+        raise ArtifactError(f"no poses {path}; check clip.poses")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: np.asarray(file[name], np.float64) for name in file.files}
-    except FileNotFoundError:
-        raise ArtifactError(f"no poses {path}; check clip.poses") from None
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        arrays = load_npz(path, KEYS)
+    except ArtifactError as error:
         raise ArtifactError(f"{path} is no .npz of numbers: {error}") from None
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiu" or not array.ndim:
+            raise ArtifactError(
+                f"{path} is no .npz of numbers: {name} is {array.dtype} {list(array.shape)}"
+            )
+    return {name: array.astype(np.float64) for name, array in arrays.items()}
 
 
 def _checked(
@@ -119,6 +133,6 @@ def _checked(
             f"{path}: {name} is {list(value.shape)}, wanted {list(shape)}: one row for every frame "
             "of the footage"
         )
-    if not np.isfinite(value).all():
-        raise ArtifactError(f"{path}: {name} holds values that are not finite")
+    if not (abs(value) <= LARGEST).all():
+        raise ArtifactError(f"{path}: {name} holds values that are not finite or over {LARGEST:g}")
     return torch.from_numpy(value.reshape(shape)).float()

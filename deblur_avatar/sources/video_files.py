@@ -4,6 +4,7 @@ Conventions. Frames are upright (the container's rotation is applied) 8-bit RGB;
 container's, in seconds.
 """
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,9 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.picture_files import MOST_PIXELS
+
+NO_OTHER_FILES = {"protocol_whitelist": "none"}
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ def read_video(path: Path, first: int, stop: int | None, height: int, stride: in
 
 def container_metadata(path: Path) -> dict[str, str]:
     """What the container says of itself and of its video, as text."""
-    with av.open(str(path)) as container:
+    with _opened(path) as container:
         return {**container.metadata, **container.streams.video[0].metadata}
 
 
@@ -82,11 +86,10 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
     if not Path(path).is_file():
         raise ArtifactError(f"no video {path}; check the scene's root and videos")
     try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise ArtifactError(f"{path} holds no video")
+        with _opened(path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
+            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
             for index, frame in enumerate(container.decode(stream)):
                 image = frame.to_ndarray(format="rgb24")
                 # PyAV: the angle by which the frame is to be turned anticlockwise.
@@ -95,6 +98,23 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
                 if seconds is None:
                     seconds = index / float(stream.average_rate or 1)
                 yield upright, seconds
+    except (FFmpegError, OSError, ValueError) as error:
+        if isinstance(error, ArtifactError):
+            raise
+        raise ArtifactError(f"{path} cannot be decoded: {error}; download it again") from error
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[av.container.InputContainer]:
+    """A file with a video in it that names no other file: playlists could read anything."""
+    try:
+        with (
+            Path(path).open("rb") as file,
+            av.open(file, "r", options=NO_OTHER_FILES, metadata_errors="replace") as opened,
+        ):
+            if not opened.streams.video:
+                raise ArtifactError(f"{path} holds no video")
+            yield opened
     except (FFmpegError, OSError) as error:
         raise ArtifactError(f"{path} cannot be decoded: {error}; download it again") from error
 
@@ -103,5 +123,5 @@ def shrunk(image: UInt8[np.ndarray, "H W *c"], height: int) -> UInt8[np.ndarray,
     """Scale a picture down to `height` rows; one that has no more is kept as it is."""
     if image.shape[0] <= height:
         return image
-    width = round(image.shape[1] * height / image.shape[0])
+    width = max(1, round(image.shape[1] * height / image.shape[0]))
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)

@@ -22,6 +22,8 @@ from deblur_avatar.pickles import load_npy
 
 PIXEL_CENTRE = 0.5  # ours; OpenCV puts the top left pixel's centre at 0
 MILLIMETRES = 1000.0
+LARGEST = 1e30  # of any number: single precision, times a thousand
+NUMBER = "[0-9]{1,18}"
 DATED_PARTS = 5  # of a name with date and time; the fifth is the frame's number
 
 
@@ -133,12 +135,12 @@ def _stacked(values: Any, shape: tuple[int, ...], where: str) -> Float32[Tensor,
     for camera, value in enumerate(values):
         try:
             row = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ArtifactError(f"{where}[{camera}] must be numbers, got {value!r:.60}") from None
         if row.size != np.prod(shape) or (len(shape) > 1 and row.shape != shape):
             raise ArtifactError(f"{where}[{camera}] must be {shape}, got {row.shape}")
-        if not np.isfinite(row).all():
-            raise ArtifactError(f"{where}[{camera}] holds values that are not finite")
+        if not (abs(row) <= LARGEST).all():
+            raise ArtifactError(f"{where}[{camera}] holds values that are not finite, or too large")
         rows.append(row.reshape(shape))
     return torch.from_numpy(np.stack(rows)).float()
 
@@ -147,9 +149,8 @@ def _frame_number(name: str, path: Path) -> int:
     """`Camera_B1/000012.jpg` is frame 12; so is a name whose fifth part between `_` is 12."""
     stem = Path(name).stem
     parts = stem.split("_")
-    if len(parts) >= DATED_PARTS and parts[DATED_PARTS - 1].isdigit():
-        return int(parts[DATED_PARTS - 1])
-    found = re.search(r"(\d+)$", stem)
+    dated = parts[DATED_PARTS - 1] if len(parts) >= DATED_PARTS else ""
+    found = re.fullmatch(NUMBER, dated) or re.search(f"(?<![0-9]){NUMBER}$", stem)
     if not found:
-        raise ArtifactError(f"{path}: the name of the picture {name!r} holds no frame number")
-    return int(found[1])
+        raise ArtifactError(f"{path}: the name of the picture {name!r:.200} holds no frame number")
+    return int(found[0])

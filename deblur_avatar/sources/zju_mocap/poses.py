@@ -25,6 +25,7 @@ logger = logging.getLogger(__name__)
 
 PARAMETERS, VERTICES = "new_params", "new_vertices"
 SAME_SHAPE = 1e-4  # by which shape numbers may differ between frames
+LARGEST = 1e6  # of an angle, a place or a shape number
 NEAR_MM = 10.0  # mean distance from the vertices given, beyond which the body is another
 
 
@@ -49,6 +50,10 @@ def read_poses(root: Path, numbers: Sequence[int], body: Body) -> Poses:
             "keep clip.frames to those, or set clip.poses to none and preprocess.poses to estimated"
         )
     rows = [_read_frame(file_inside(root, f"{PARAMETERS}/{number}.npy")) for number in numbers]
+    if len({len(row[3]) for row in rows}) > 1:
+        raise ArtifactError(
+            f"{folder}: shapes are of as many numbers in every frame, these are not"
+        )
     poses, turns, places, shapes = (torch.stack(column) for column in zip(*rows, strict=True))
     betas = _betas(shapes, body, folder)
     turn = axis_angle_to_matrix(turns)
@@ -74,7 +79,7 @@ def _read_frame(path: Path) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         poses, turn, place, shapes = (
             torch.from_numpy(np.asarray(content[key], np.float32).ravel()) for key in keys
         )
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ArtifactError(f"{path}: {error}") from None
     if len(poses) == 69:  # newer files leave the root out, which Rh turns
         poses = torch.cat([poses.new_zeros(3), poses])
@@ -83,8 +88,8 @@ def _read_frame(path: Path) -> tuple[Tensor, Tensor, Tensor, Tensor]:
             f"{path}: wanted 72 (or 69) poses, 3 Rh, 3 Th and shapes, got {len(poses)}, "
             f"{len(turn)}, {len(place)} and {len(shapes)}"
         )
-    if not torch.cat([poses, turn, place, shapes]).isfinite().all():
-        raise ArtifactError(f"{path} holds values that are not finite")
+    if not (torch.cat([poses, turn, place, shapes]).abs() <= LARGEST).all():
+        raise ArtifactError(f"{path} holds values that are not finite or over {LARGEST:g}")
     return poses.reshape(24, 3), turn, place, shapes
 
 
@@ -111,8 +116,9 @@ def _compare_vertices(root: Path, numbers: Sequence[int], body: Body, poses: Pos
         if not path.exists():
             continue
         given = load_npy(path)
-        if not isinstance(given, np.ndarray) or given.shape != tuple(body.vertices.shape):
-            found = "a dictionary" if isinstance(given, dict) else list(given.shape)
+        shape = tuple(body.vertices.shape)
+        if isinstance(given, dict) or given.shape != shape or given.dtype.kind not in "fiu":
+            found = "a dictionary" if isinstance(given, dict) else f"{list(given.shape)}"
             raise ArtifactError(
                 f"{path}: wanted the body's {list(body.vertices.shape)} vertices, got {found}; the "
                 "scene's body must be the SMPL file that the poses were fitted with"
