@@ -15,7 +15,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from deblur_avatar.artifacts import BlurryClip, Body, Cameras, Observations, Poses
-from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.avatar.body import posed_joints, posed_vertices
 from deblur_avatar.config import PreprocessParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting.body_fit import fit_body
@@ -105,6 +105,7 @@ def preprocess(
         fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
         found_wrong, weights = fitted.flags, weights * fitted.trust
 
+    _check_in_front(clip.cameras, clip.train_camera, body, poses, shown)
     crops, cameras = _crops(clip.cameras, body, poses, params.margin, image_height)
     crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
     plate = background_plate(clip.frames[row], mattes) if params.background == "median" else None
@@ -274,6 +275,20 @@ def _frames_with_person(
         missing = torch.nonzero(~shown).flatten().tolist()
         logger.warning("%d frames without a person are skipped: %s", len(missing), missing)
     return shown
+
+
+def _check_in_front(
+    cameras: Cameras, camera: int, body: Body, poses: Poses, shown: Bool[Tensor, " F"]
+) -> None:
+    """Refuse a training camera that has the whole person behind it in every frame with one."""
+    joints = posed_joints(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    _, depths = project(joints[shown], cameras.Ks[camera], cameras.viewmats[camera])
+    if (depths <= 0).all():
+        raise ArtifactError(
+            f"camera {cameras.names[camera]}: the body is behind it in every frame, its nearest "
+            f"joint {-float(depths.max()):.2f} m; check the extrinsics (world to camera, OpenCV: "
+            "+Z forward) and the poses"
+        )
 
 
 def _crops(

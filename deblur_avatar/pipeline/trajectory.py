@@ -53,7 +53,8 @@ def new_trajectory(
     """The unknown motion, as far as it is known before fitting.
 
     Raises:
-        ConfigError: if one trajectory for the clip is asked for and its exposure is unknown.
+        ConfigError: if one trajectory for the clip is asked for, and its exposure is unknown or it
+            has a single frame.
     """
     poses = observations.poses
     if params.motion in EXPOSURE_MOTIONS:
@@ -63,6 +64,11 @@ def new_trajectory(
         if observations.exposure is None:
             raise ConfigError(
                 "motion: clip needs to know how long the shutter was open; the clip does not say"
+            )
+        if len(observations.timestamps) < 2:
+            raise ConfigError(
+                "motion: clip needs two frames or more, the clip has 1: a single blurred frame "
+                "does not tell which way it moved; take more frames, or a method with motion: pair"
             )
         frame = float(observations.timestamps.diff().median())
         u = instants(params.virtual_poses, params.quadrature)

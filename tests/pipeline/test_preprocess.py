@@ -208,6 +208,14 @@ def test_a_person_outside_the_picture_is_refused(clip: BlurryClip, body: Body):
         run(dataclasses.replace(clip, initial=away), body, image_height=40)
 
 
+def test_a_person_behind_the_training_camera_is_refused(clip: BlurryClip, body: Body):
+    viewmats = CAMERAS.viewmats.clone()
+    viewmats[TRAIN, 2, 3] *= -1
+    behind = dataclasses.replace(clip, cameras=dataclasses.replace(CAMERAS, viewmats=viewmats))
+    with pytest.raises(ArtifactError, match="the body is behind it in every frame"):
+        preprocess(behind, body, params(), image_height=SIZE, detect=nobody)
+
+
 def test_distortion_is_taken_out_once(clip: BlurryClip, body: Body):
     lens = torch.tensor([-0.2, 0.05, 0.0, 0.0, 0.0]).repeat(4, 1)
     bent = dataclasses.replace(clip, cameras=dataclasses.replace(CAMERAS, distortion=lens))

@@ -1,9 +1,12 @@
+import dataclasses
+
 import pytest
 import torch
 
 from deblur_avatar.avatar.model import joint_rotations
 from deblur_avatar.avatar.motion import FrameMotion, PairMotion
 from deblur_avatar.config import TrajectoryParams, parse
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.trajectory import fit_trajectory, new_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 
@@ -110,3 +113,15 @@ def test_new_trajectories_start_from_the_given_poses(observations, method):
     for trajectory in (pair, frame):
         expected = joint_rotations(observations.poses)[1]
         torch.testing.assert_close(trajectory(1).centre_rotations, expected, atol=1e-3, rtol=0)
+
+
+def test_one_blurred_frame_has_no_trajectory(make_observations, method):
+    single = make_observations(frames=2)
+    index = slice(0, 1)
+    single = dataclasses.replace(
+        single, frames=single.frames[index], mattes=single.mattes[index],
+        poses=single.poses.at(index), weights=single.weights[index], frame_indices=(0,),
+        timestamps=single.timestamps[index], train=(0,), validation=(),
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match="two frames or more, the clip has 1"):
+        new_trajectory(single, method("lean"), torch.Generator())
