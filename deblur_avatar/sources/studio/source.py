@@ -73,7 +73,11 @@ def load_studio(
         ConfigError: if the clip is too short for its blur window, nothing is left for training, or
             the motion is not known.
     """
-    scene = set_scene(params, body)
+    return film(set_scene(params, body), generator)
+
+
+def film(scene: Scene, generator: torch.Generator) -> tuple[Clip, Reference]:
+    """Take all pictures of a scene that is set, as `load_studio` does."""
     return _film_clip(scene, generator), _film_reference(scene)
 
 
