@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: setup repro avatar check test bench deps readme clean-cache
+.PHONY: setup repro avatar check stability test bench deps readme clean-cache
 
 setup: $(STAMP)
 
@@ -34,6 +34,10 @@ avatar: $(STAMP)
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: $(STAMP)
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/dvc repro check$(if $(SCENE),@$(SCENE))
+
+# Where methods fail, on small scenes with known truth: stability/reports/index.html, in about an hour.
+stability: $(STAMP)
+	PATH="$(CURDIR)/$(BIN):$$PATH" OMP_NUM_THREADS=1 $(BIN)/dvc repro stability/dvc.yaml
 
 test: $(STAMP)
 	$(BIN)/ruff check .

@@ -76,9 +76,10 @@ def script_of(stage: CommentedMap, root: Path = ROOT) -> Path:
 
 
 def own_pipelines(root: Path = ROOT) -> list[Path]:
-    """The pipelines that are written by hand: the root's and those that gather experiments."""
+    """The pipelines written by hand: the root's, those that gather experiments, the suite's."""
     made = {folder / PIPELINE for folder in experiments(root)}
-    return [root / PIPELINE, *sorted(set((root / "experiments").glob(f"*/{PIPELINE}")) - made)]
+    gathering = sorted(set((root / "experiments").glob(f"*/{PIPELINE}")) - made)
+    return [root / PIPELINE, *gathering, *(root / "stability").glob(PIPELINE)]
 
 
 def write_dependencies(root: Path = ROOT, path: Path | None = None) -> list[str]:

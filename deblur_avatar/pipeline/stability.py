@@ -1,0 +1,187 @@
+"""How one method takes one way to fail: damaged, fitted, measured at every severity.
+
+Whether that is good enough is not decided here: a rule may compare methods, so the stage
+`stability_report` judges. What the pipeline refuses with its own errors and what falls over
+otherwise are told apart.
+"""
+
+import logging
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Clip, Observations, Reference
+from deblur_avatar.avatar.capsule_body import capsule_body
+from deblur_avatar.config import MethodParams, ScheduleParams, StartParams
+from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.imaging.picture_files import write_picture
+from deblur_avatar.pipeline.check import check_scene
+from deblur_avatar.pipeline.stability_fit import fit_method, lengthened
+from deblur_avatar.pipeline.stability_input import prepare
+from deblur_avatar.pipeline.stability_measures import Measured, measure
+from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams
+
+logger = logging.getLogger(__name__)
+
+FIT_KEYS = ("budget", "seed", "estimated_shutter", "start_noise", "needles")
+PICTURES = ("blurred", "render", "truth")
+
+Film = Callable[[str], tuple[Clip, Reference]]
+
+
+@dataclass(frozen=True)
+class Item:
+    """A method's rows in one mode, one a severity, and its worst picture if it drew any."""
+
+    rows: dict[str, dict[str, Any]]
+    worst: Measured | None
+
+    def save(self, folder: Path) -> None:
+        """Write `measured.json` and the pictures of the worst view."""
+        run.write_json(folder / "measured.json", self.rows)
+        if self.worst is not None:
+            for name, picture in zip(PICTURES, self.worst.pictures, strict=True):
+                write_picture(folder / f"{name}.png", picture)
+
+
+def film_of(folder: Path) -> Film:
+    """Reads the scenes that `stability_scene` wrote."""
+    return lambda name: (
+        Clip.load(folder / name / "clip"),
+        Reference.load(folder / name / "reference"),
+    )
+
+
+def endure(
+    mode: ModeParams,
+    start: StartParams,
+    method: MethodParams,
+    schedule: ScheduleParams,
+    film: Film,
+    *,
+    validation_stride: int,
+    seed: int,
+    device: torch.device,
+) -> Item:
+    """Go through all severities of a mode.
+
+    Args:
+        mode: what goes wrong.
+        start: the method's avatar.
+        method: what follows the warm-up.
+        schedule: of the suite.
+        film: gives the clip and the truth of a scene by name.
+        validation_stride: as `preprocess` wants it.
+        seed: of the suite; damage and fits draw from it, alike for every method.
+        device: to fit on.
+
+    Raises:
+        ConfigError: if a severity asks for something that there is not.
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    worst: Measured | None = None
+    for label, severity in mode.severities.items():
+        _check(label, severity)
+        if "estimated_shutter" in severity.fit and method.trajectory.motion != "clip":
+            rows[label] = {"skipped": "this method has no shutter to estimate"}
+            continue
+        row, measured = _attempt(
+            severity, start, method, schedule, film, validation_stride, seed, device
+        )
+        rows[label] = {"scene": severity.scene, **row}
+        logger.info("%s: %s", label, _shown(row))
+        if measured is not None and (
+            worst is None or measured.numbers["score"] < worst.numbers["score"]
+        ):
+            worst = measured
+    return Item(rows, worst)
+
+
+def _check(label: str, severity: SeverityParams) -> None:
+    unknown = sorted(set(severity.fit) - set(FIT_KEYS))
+    if unknown:
+        raise ConfigError(f"severity {label!r}: fit has no {unknown}, it has {', '.join(FIT_KEYS)}")
+
+
+def _attempt(
+    severity: SeverityParams,
+    start: StartParams,
+    method: MethodParams,
+    schedule: ScheduleParams,
+    film: Film,
+    validation_stride: int,
+    seed: int,
+    device: torch.device,
+) -> tuple[dict[str, Any], Measured | None]:
+    """One severity: what was measured, or how it ended instead."""
+    clip, reference = film(severity.scene)
+    row: dict[str, Any] = {"refused": None, "crashed": None, "flags": []}
+    with _warnings() as heard:
+        try:
+            prepared = prepare(
+                clip, capsule_body(), severity.damage, schedule.image_height, validation_stride,
+                seed,
+            )  # fmt: skip
+            row["flags"] = _flags(prepared.blurred, prepared.metrics)
+            fitted = fit_method(
+                prepared.blurred,
+                start,
+                _changed(method, severity.fit),
+                lengthened(schedule, severity.fit.get("budget", 1.0)),
+                seed=seed + int(severity.fit.get("seed", 0)),
+                needles=severity.fit.get("needles", 0.0),
+                device=device,
+            )
+            measured = measure(prepared.blurred, reference, fitted, device)
+        except (ConfigError, ArtifactError) as error:
+            return {**row, "refused": f"{type(error).__name__}: {error}", "warnings": heard}, None
+        except Exception as error:  # a crash is what this suite looks for
+            logger.warning("%s", "".join(traceback.format_exception(error)))
+            return {**row, "crashed": f"{type(error).__name__}: {error}", "warnings": heard}, None
+    return {**row, **measured.numbers, "warnings": heard}, measured
+
+
+def _changed(method: MethodParams, fit: Mapping[str, float]) -> MethodParams:
+    """The method as a severity wants it."""
+    changes: dict[str, Any] = {}
+    if "estimated_shutter" in fit:
+        changes["shutter"] = "estimated"
+    if "start_noise" in fit:
+        changes["start_noise"] = fit["start_noise"]
+    trajectory = method.trajectory.model_copy(update=changes)
+    return method.model_copy(update={"trajectory": trajectory})
+
+
+def _flags(observations: Observations, metrics: Mapping[str, Any]) -> list[str]:
+    """What the scene's check complains of."""
+    findings = check_scene(observations, metrics)["findings"]
+    return [name for name, finding in findings.items() if finding["verdict"] in ("warn", "fail")]
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """What the package warns of meanwhile."""
+    heard: list[str] = []
+
+    class Ear(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            heard.append(record.getMessage())
+
+    ear, package = Ear(logging.WARNING), logging.getLogger("deblur_avatar")
+    package.addHandler(ear)
+    try:
+        yield heard
+    finally:
+        package.removeHandler(ear)
+
+
+def _shown(row: Mapping[str, Any]) -> str:
+    if row["refused"] or row["crashed"]:
+        return str(row["refused"] or row["crashed"])
+    return f"{row['score']:.2f} dB in {row['seconds']:.1f} s"

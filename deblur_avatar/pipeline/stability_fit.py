@@ -1,0 +1,90 @@
+"""One whole fit of the suite: warm-up, trajectory and fusion in memory, with nothing saved."""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+
+from deblur_avatar import run
+from deblur_avatar.artifacts import Avatar, Motion, Observations
+from deblur_avatar.config import MethodParams, ScheduleParams, StartParams
+from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.pipeline.trajectory import fit_trajectory
+from deblur_avatar.pipeline.warmup import warm_up
+
+NEEDLE = 1e-12  # metres
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit leaves, and how long it took."""
+
+    avatar: Avatar
+    motion: Motion
+    seconds: float
+
+
+def fit_method(
+    observations: Observations,
+    start: StartParams,
+    method: MethodParams,
+    schedule: ScheduleParams,
+    *,
+    seed: int,
+    needles: float,
+    device: torch.device,
+) -> Fitted:
+    """Fit as the three stages do; every fit of the suite draws alike, so that they compare.
+
+    Args:
+        observations: blurred, or sharp with exact poses.
+        start: what the avatar is made of.
+        method: what follows the warm-up.
+        schedule: of the suite.
+        seed: of all draws.
+        needles: share of the Gaussians that become infinitely thin after the warm-up.
+        device: to fit on.
+
+    Raises:
+        ConfigError, ArtifactError: as the stages do.
+    """
+    drawn = run.derive_seed(seed, "stability")
+    torch.manual_seed(drawn)  # third parties draw from it
+    generator = torch.Generator(device=device).manual_seed(drawn)
+    begin = time.perf_counter()
+    avatar, checkpoint, _ = warm_up(
+        observations, start, schedule, device=device, generator=generator, report=_silence
+    )
+    if needles > 0:
+        avatar = _with_needles(avatar, needles)
+    avatar, motion, checkpoint, _ = fit_trajectory(
+        observations, avatar, checkpoint, start, method.trajectory, schedule,
+        device=device, generator=generator, report=_silence,
+    )  # fmt: skip
+    avatar, motion, _ = fuse(
+        observations, avatar, motion, checkpoint, start, method.fusion, schedule,
+        device=device, generator=generator, report=_silence,
+    )  # fmt: skip
+    return Fitted(avatar, motion, time.perf_counter() - begin)
+
+
+def lengthened(schedule: ScheduleParams, times: float) -> ScheduleParams:
+    """The same schedule with so many times its iterations."""
+    ends = {
+        name: round(times * getattr(schedule, name)) for name in ("warmup", "trajectory", "fusion")
+    }
+    return schedule.model_copy(update=ends)
+
+
+def _with_needles(avatar: Avatar, share: float) -> Avatar:
+    log_scales = avatar.log_scales.clone()
+    count = round(share * len(log_scales))
+    log_scales[:count, 0] = math.log(NEEDLE)
+    log_scales[count : 2 * count] = math.log(NEEDLE)
+    return replace(avatar, log_scales=log_scales)
+
+
+def _silence(iteration: int, losses: Mapping[str, float]) -> None:
+    pass

@@ -1,0 +1,88 @@
+"""One small scene of the stability suite: a person of capsules, filmed with all truth known.
+
+The clothes may swing in a way that no joint explains. Beside the clip stands what the `ceiling`
+reaches on it: sharp frames and exact poses.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+
+from deblur_avatar.artifacts import Body, Clip, Reference
+from deblur_avatar.avatar.capsule_body import capsule_body
+from deblur_avatar.config import MethodParams, ScheduleParams, StartParams
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.pipeline.stability_fit import fit_method
+from deblur_avatar.pipeline.stability_input import prepare
+from deblur_avatar.pipeline.stability_measures import measure
+from deblur_avatar.pipeline.stability_motions import stability_move
+from deblur_avatar.pipeline.stability_params import StabilitySceneParams
+from deblur_avatar.sources.studio.motion import Moves
+from deblur_avatar.sources.studio.person import Person
+from deblur_avatar.sources.studio.source import film, set_scene
+
+SWINGS = 5  # of the clothes while the person turns once
+WAIST, HEM = 0.05, -0.45  # metres above the pelvis: where the swing begins and is widest
+
+
+@dataclass(frozen=True)
+class SwingingPerson(Person):
+    """Clothes below the waist swing sideways, as a pendulum would."""
+
+    reach: float  # metres to either side
+
+    def posed(self, moves: Moves) -> Iterator[Float32[np.ndarray, "P 3"]]:
+        """Vertices at each instant; the swing's phase is the person's angle to the camera."""
+        height = self.drape.vertices[:, 1]
+        share = np.clip((WAIST - height) / (WAIST - HEM), 0, 1) * (self.drape.slack > 0)
+        turned = axis_angle_to_matrix(moves.global_orient)
+        yaw = torch.atan2(turned[:, 0, 2], turned[:, 0, 0])
+        sideways = turned[:, :, 0] * self.reach * torch.sin(SWINGS * yaw)[:, None]
+        instants = zip(super().posed(moves), sideways.numpy(), strict=True)
+        for vertices, offset in instants:
+            yield (vertices + share[:, None] * offset).astype(np.float32)
+
+
+def film_scene(
+    params: StabilitySceneParams, generator: torch.Generator
+) -> tuple[Body, Clip, Reference]:
+    """Film one scene of the suite; the same every time for the same generator."""
+    body = capsule_body()
+    scene = set_scene(params.clip.model_copy(update={"motion": "turn"}), body)
+    seconds = scene.held_out_from / params.clip.fps
+    if params.cloth_m > 0:
+        parts = {
+            field.name: getattr(scene.person, field.name) for field in dataclasses.fields(Person)
+        }
+        scene = dataclasses.replace(scene, person=SwingingPerson(**parts, reach=params.cloth_m))
+    scene = dataclasses.replace(
+        scene,
+        true=stability_move(params.clip.motion, scene.timestamps, seconds),
+        fine=stability_move(params.clip.motion, scene.subtimes, seconds),
+    )
+    return body, *film(scene, generator)
+
+
+def measure_ceiling(
+    clip: Clip,
+    reference: Reference,
+    body: Body,
+    start: StartParams,
+    method: MethodParams,
+    schedule: ScheduleParams,
+    validation_stride: int,
+    seed: int,
+    device: torch.device,
+) -> dict[str, Any]:
+    """What sharp frames and exact poses give on this scene: the upper bound of its modes."""
+    prepared = prepare(clip, body, {}, schedule.image_height, validation_stride, seed)
+    assert prepared.exact is not None  # the studio knows all
+    fitted = fit_method(
+        prepared.exact, start, method, schedule, seed=seed, needles=0.0, device=device
+    )
+    return measure(prepared.blurred, reference, fitted, device).numbers

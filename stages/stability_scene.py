@@ -1,0 +1,34 @@
+"""Stage `stability_scene`: one small scene of the stability suite, and what its ceiling is."""
+
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.config import MethodParams, ScheduleParams, StartParams, load_params
+from deblur_avatar.pipeline.stability_params import StabilitySceneParams
+from deblur_avatar.pipeline.stability_scene import film_scene, measure_ceiling
+
+
+def main(scene: str, out: Path, params_file: Path) -> None:
+    """Write `<out>/clip`, the truth `<out>/reference` and `<out>/ceiling.json`."""
+    params = load_params(params_file, f"scenes.{scene}", StabilitySceneParams)
+    seed = load_params(params_file, "seed", int)
+    with run.stage("stability_scene", scene, seed) as context:
+        body, clip, reference = film_scene(params, context.generator)
+        ceiling = measure_ceiling(
+            clip,
+            reference,
+            body,
+            load_params(params_file, "starts.lean", StartParams),
+            load_params(params_file, "methods.ceiling", MethodParams),
+            load_params(params_file, "schedules.suite", ScheduleParams),
+            load_params(params_file, "validation_stride", int),
+            seed,
+            context.device,
+        )
+        clip.save(out / "clip")
+        reference.save(out / "reference")
+        run.write_json(out / "ceiling.json", ceiling)
+
+
+if __name__ == "__main__":
+    run.command(main)
