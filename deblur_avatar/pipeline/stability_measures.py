@@ -181,7 +181,9 @@ def _longest(model: AvatarModel, poses: Poses) -> Float[Tensor, " N"]:
 def _worst(
     observations: Observations, shown: Sequence[Comparison]
 ) -> tuple[Picture, Picture, Picture]:
-    worst = min(shown, key=lambda comparison: comparison.scores["psnr_foreground"])
+    """Of the views that show mostly what the training camera saw, the one drawn worst."""
+    views = [c for c in shown if 2 * c.view.seen.sum() >= c.view.foreground.sum() > 0] or shown
+    worst = min(views, key=lambda comparison: comparison.scores["psnr_foreground"])
     blurred = observations.frames[worst.view.position]
     return blurred.numpy(), worst.render.numpy(), worst.view.image.numpy()
 

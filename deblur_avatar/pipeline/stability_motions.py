@@ -21,7 +21,8 @@ from deblur_avatar.geometry.rotations import (
 from deblur_avatar.sources.studio.motion import Moves, still, turn
 
 FOREARM_SPEED = math.radians(1500.0)  # per second, the fastest
-FOREARM_SWING = math.radians(45.0)  # to either side
+FOREARM_SWING = math.radians(70.0)  # to either side: all that an elbow can
+STANDING_BEND = 0.4  # radians, of the elbows of a person who stands still
 CROSSING_PERIOD = 0.3  # seconds in which the arm sweeps over the chest and back
 EXPOSURE = 33 / 480  # seconds, of the window that the reversals are made for
 SWING = 0.4  # radians to either side, of arms that reverse
@@ -54,9 +55,10 @@ def _narrow(degrees: float) -> Callable[[Angles, float], Moves]:
 
 def _limbs(times: Angles, training_seconds: float) -> Moves:
     """Forearms at 1500 degrees a second, the rest of the body still."""
+    standing = still(times, training_seconds)
     wave = FOREARM_SWING * torch.sin(FOREARM_SPEED / FOREARM_SWING * times)
-    moves = _turned(still(times, training_seconds), "left_elbow", Y, wave)
-    return _turned(moves, "right_elbow", Y, wave)
+    moves = _turned(standing, "left_elbow", Y, wave - FOREARM_SWING + STANDING_BEND)
+    return _turned(moves, "right_elbow", Y, wave + FOREARM_SWING - STANDING_BEND)
 
 
 def _crossing(times: Angles, training_seconds: float) -> Moves:
