@@ -19,10 +19,11 @@ NEEDLE = 1e-12  # metres
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit leaves, and how long it took."""
+    """What a fit leaves, how long the shutter was open (where that was estimated), and the time."""
 
     avatar: Avatar
     motion: Motion
+    shutter: float | None  # seconds; `fusion` takes it as settled and tells it no more
     seconds: float
 
 
@@ -63,11 +64,12 @@ def fit_method(
         observations, avatar, checkpoint, start, method.trajectory, schedule,
         device=device, generator=generator, report=_silence,
     )  # fmt: skip
+    shutter = motion.shutter
     avatar, motion, _ = fuse(
         observations, avatar, motion, checkpoint, start, method.fusion, schedule,
         device=device, generator=generator, report=_silence,
     )  # fmt: skip
-    return Fitted(avatar, motion, time.perf_counter() - begin)
+    return Fitted(avatar, motion, shutter, time.perf_counter() - begin)
 
 
 def lengthened(schedule: ScheduleParams, times: float) -> ScheduleParams:

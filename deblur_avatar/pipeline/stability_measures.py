@@ -72,7 +72,7 @@ def measure(
         "mean_scale_mm": 1e3 * float(avatar.log_scales.exp().mean()),
         "stretch": _stretch(observations, reference, avatar, device),
         "knots": len(motion.parameters["axis_angle"]) if motion.kind == "clip" else None,
-        "shutter_s": motion.shutter,
+        "shutter_s": fitted.shutter,
         "given_exposure_s": observations.exposure,
         "hidden": observations.hidden,
         "finite": math.isfinite(content["image"]["psnr"]),

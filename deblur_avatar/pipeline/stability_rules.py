@@ -243,12 +243,12 @@ def _masks_empty(case: Case) -> list[Check]:
 
 
 def _wrong_shutter(case: Case) -> list[Check]:
-    checks = [_came_out(case), _above_blind(case, -SCATTER, drop=0.3), _recovery(case)]
-    if "estimated_shutter" in case.severity.fit:
-        true = _ratio(case.row.get("given_exposure_s"), case.severity.damage["shutter_times"])
-        share = _ratio(case.row.get("shutter_s"), true)
-        checks.append(Check("estimated shutter over the true one", share, 0.85, 1.15))
-    return checks
+    if "estimated_shutter" not in case.severity.fit:
+        return [_came_out(case), _above_blind(case, -SCATTER, drop=0.3), _recovery(case)]
+    true = _ratio(case.row.get("given_exposure_s"), case.severity.damage["shutter_times"])
+    share = _ratio(case.row.get("shutter_s"), true)
+    kept = _drop(case, 0.5)
+    return [_came_out(case), kept, Check("estimated shutter over the true one", share, 0.85, 1.15)]
 
 
 def _reversal(case: Case) -> list[Check]:

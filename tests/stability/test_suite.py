@@ -178,6 +178,16 @@ def test_a_method_without_a_shutter_is_left_out(suite, start):
     assert list(item.rows["a"]) == ["skipped"]
 
 
+def test_an_estimated_shutter_is_told(suite, start):
+    severity = SeverityParams(
+        scene="turn", damage={"shutter_times": 2.0}, fit={"estimated_shutter": 1.0}
+    )
+    item = _run(suite, ModeParams(title="x", severities={"a": severity}), "lean", start)
+    row = item.rows["a"]
+    assert row["given_exposure_s"] == pytest.approx(2 * 17 / 480)
+    assert 0 < row["shutter_s"] != row["given_exposure_s"]
+
+
 def test_clothes_swing_though_no_joint_moves_them():
     def film(cloth_m):
         params = scene_params(frames=9, window=1).model_copy(update={"cloth_m": cloth_m})
