@@ -28,6 +28,11 @@ MOST_BYTES = 1 << 18  # of a parameter file; the root's has 10 kB, a megabyte ta
 MOST_NODES, MOST_DEPTH = 100_000, 50  # with every alias written out; the root's has 1,500, 8 deep
 MOST_SHARED = 8  # files that name each other in turn
 
+ENVIRONMENT = (
+    r"\$\((?P<name>\w+)(?::-(?P<default>[^)]*))?\)",
+    r"\$\{(?P<name>\w+)(?::-(?P<default>[^}]*))?\}",
+)
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -51,7 +56,7 @@ class AnnyBodyParams(Params):
 
 
 class SmplBodyParams(Params):
-    """A licensed SMPL file; `file` may hold `${VARIABLE}` from the environment."""
+    """A licensed SMPL file; `file` may hold `$(VARIABLE)` from the environment."""
 
     source: Literal["smpl"]
     file: str
@@ -89,7 +94,7 @@ class StudioParams(Params):
 class MultiviewParams(Params):
     """Video files of several calibrated cameras.
 
-    `root` may hold `${VARIABLE:-default}`. `frame_offsets` are added to each camera's frame
+    `root` may hold `$(VARIABLE:-default)`. `frame_offsets` are added to each camera's frame
     numbers.
     """
 
@@ -110,7 +115,7 @@ class MonocularParams(Params):
     """One video of one person by one camera, blurred as it is; the camera may move.
 
     `path` is a video or a folder of pictures. It, `keypoints`, `masks` and `poses` may hold
-    `${VARIABLE:-default}`; null means that these are estimated from the frames.
+    `$(VARIABLE:-default)`; null means that these are estimated from the frames.
     """
 
     source: Literal["monocular"]
@@ -133,7 +138,7 @@ class MonocularParams(Params):
 class ZjuMocapParams(Params):
     """A sequence in ZJU-MoCap's raw layout (docs/zju-mocap.md).
 
-    `root` may hold `${VARIABLE:-default}`. Cameras are counted from 0 in the order of `annots.npy`,
+    `root` may hold `$(VARIABLE:-default)`. Cameras are counted from 0 in the order of `annots.npy`,
     frames as it lists them.
     """
 
@@ -197,7 +202,7 @@ class PredeblurParams(Params):
     """Deblurring in the picture, for a baseline (imaging/deconvolution.py).
 
     `given` is a folder of frames that another program has deblurred, and may hold
-    `${VARIABLE:-default}`; empty for the classical method, which the rest is for.
+    `$(VARIABLE:-default)`; empty for the classical method, which the rest is for.
     """
 
     given: str
@@ -421,7 +426,7 @@ class AnimationParams(Params):
     """A motion that the avatar of the run of this name is shown in.
 
     `motion` is `own` (the one that was filmed), `builtin:<name>` or a file, and may hold
-    `${VARIABLE:-default}`.
+    `$(VARIABLE:-default)`.
     """
 
     scene: str
@@ -543,8 +548,9 @@ def parse(kind: Any, value: Any, where: str) -> Any:
 
 
 def expand_environment(text: str, where: str) -> str:
-    """Replace `${VARIABLE}` and `${VARIABLE:-default}` by what the environment holds.
+    """Replace `$(VARIABLE)` and `$(VARIABLE:-default)` by what the environment holds.
 
+    Braces do as well, but `dvc exp run -S` refuses files that hold them: it reads them as its own.
     An empty variable counts as unset, as in a shell.
 
     Raises:
@@ -557,7 +563,9 @@ def expand_environment(text: str, where: str) -> str:
             raise ConfigError(f"{where}: set the environment variable {match['name']}, it is empty")
         return found
 
-    return re.sub(r"\$\{(?P<name>\w+)(?::-(?P<default>[^}]*))?\}", value, text)
+    for pattern in ENVIRONMENT:
+        text = re.sub(pattern, value, text)
+    return text
 
 
 def read_yaml(path: Path) -> Any:

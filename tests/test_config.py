@@ -138,3 +138,11 @@ def test_numbers_of_parameters_are_finite(tmp_path, value):
   turns: {value}, travel: 0.0, margin: 0.1}}"""
     with pytest.raises(ConfigError, match="turns: input should be a finite number"):
         load_params(written(tmp_path, text), "a", config.AnimationParams)
+
+
+@pytest.mark.parametrize("text", ["$(HALL:-attic)/one", "${HALL:-attic}/one"])
+def test_variables_stand_in_parentheses_or_braces(monkeypatch, text):
+    monkeypatch.setenv("HALL", "cellar")
+    assert config.expand_environment(text, "x") == "cellar/one"
+    monkeypatch.setenv("HALL", "")
+    assert config.expand_environment(text, "x") == "attic/one"

@@ -11,7 +11,7 @@ def footage_folder(root: str, remedy: str) -> Path:
     """Find a source's root folder.
 
     Args:
-        root: of the parameters; may hold `${VARIABLE:-default}`.
+        root: of the parameters; may hold `$(VARIABLE:-default)`.
         remedy: what belongs there and where it is to be had.
 
     Raises:

@@ -2,11 +2,13 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from dvc.utils.hydra import apply_overrides
 from ruamel.yaml import YAML
 
 from deblur_avatar.config import ClipParams, check_parameters, load_params, read_params
@@ -70,6 +72,13 @@ def test_dvc_understands_an_experiment(folder):
         assert f"evaluate@{run}" in done.stdout
 
 
+@pytest.mark.parametrize("folder", [ROOT, *experiments()], ids=lambda path: path.name)
+def test_dvc_can_set_parameters(folder, tmp_path):
+    shutil.copy(folder / PARAMS, tmp_path / PARAMS)
+    apply_overrides(str(tmp_path / PARAMS), ["seed=7"])
+    assert "seed: 7" in (tmp_path / PARAMS).read_text()
+
+
 def test_zju_mocap_is_the_six_subjects_of_the_paper():
     content = read_params(ZJU / PARAMS)
     assert content["schedule"] == "full"
@@ -79,7 +88,7 @@ def test_zju_mocap_is_the_six_subjects_of_the_paper():
             "frames": "interpolated", "factor": 8, "window": window, "light": "srgb",
         }  # fmt: skip
         clip = load_params(ZJU / PARAMS, f"scenes.zju_{subject}.clip", ClipParams)
-        assert clip.root == f"${{ZJU_MOCAP_ROOT}}/CoreView_{subject}"
+        assert clip.root == f"$(ZJU_MOCAP_ROOT)/CoreView_{subject}"
         assert (clip.train_camera, clip.test_cameras, clip.test_stride) == (0, "all", 30)
         for method in ("oracle", "blind", "paper", "lean"):
             assert content["runs"][f"zju_{subject}-{method}"]["scene"] == f"zju_{subject}"
