@@ -289,7 +289,9 @@ class LossParams(Params):
     """Weights of the terms of the objective."""
 
     l1: NonNegative
+    lpips: NonNegative  # inside the person's box, in place of `structure`; only with its weights
     structure: NonNegative  # edges at three scales inside the person's box
+    dissimilarity: NonNegative  # 1 - SSIM at three scales there
     mask: NonNegative
     skinning_early: NonNegative  # until `skinning_switch`
     skinning_late: NonNegative

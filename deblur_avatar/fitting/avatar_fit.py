@@ -7,6 +7,7 @@ something starts count in the paper's 15,000 iterations and are scaled to the sc
 import copy
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -27,6 +28,7 @@ from deblur_avatar.fitting.run_folder import Progress, RunFolder, Snapshot
 from deblur_avatar.fitting.supervision import BOTH_UNTIL, RELEASED, shares, still_frames
 from deblur_avatar.fitting.surface_height import Feet, feet_of
 from deblur_avatar.fitting.targets import Target, target_of
+from deblur_avatar.imaging.lpips import configured_lpips
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
 Report = Callable[[int, Mapping[str, float]], None]
@@ -74,6 +76,9 @@ class AvatarFit:
         }
         if not self._targets:
             raise ArtifactError("no training frame shows a person; check masks and weights")
+        self._lpips = configured_lpips() if params.losses.lpips > 0 else None
+        if self._lpips is not None:
+            self._lpips = self._lpips.to(device)
         self._queue: list[int] = []
         self._neighbours: Tensor | None = None
         self._feet: Feet | None = None
@@ -185,10 +190,15 @@ class AvatarFit:
             self._densify(iteration, drawn, target)
         return {name: float(value.detach()) for name, value in terms.items()}
 
-    def cost(self, seconds: float) -> dict[str, int | float]:
-        """What a stage's measurements say of it."""
-        gaussians = len(self.model.gaussians)
-        return {"seconds": seconds, "gaussians": gaussians, "left_out": self.descent.left_out}
+    def cost(self, seconds: float) -> dict[str, Any]:
+        """What a stage's measurements say of it, and which perceptual term it had."""
+        edges = "edges" if self._params.losses.structure > 0 else None
+        return {
+            "seconds": seconds,
+            "gaussians": len(self.model.gaussians),
+            "left_out": self.descent.left_out,
+            "perceptual": edges if self._lpips is None else "lpips_vgg",
+        }
 
     def checkpoint(self, iteration: int) -> Checkpoint:
         """What the next stage needs to go on as if nothing had happened.
@@ -322,15 +332,27 @@ class AvatarFit:
         images = [(share, encode(image, self.model.light)) for share, image in compared]
         apart = [share * losses.photometric(image, target.image) for share, image in images]
         terms = {"l1": weights.l1 * target.weight * torch.stack(apart).sum()}
-        if weights.structure > 0:
+        if self._lpips is not None:
+            seen = [s * self._perceived(image, target) for s, image in images]
+            terms["lpips"] = weights.lpips * target.weight * torch.stack(seen).sum()
+        elif weights.structure > 0:
             edges = [s * losses.structure(image, target.image, target.box) for s, image in images]
             terms["structure"] = weights.structure * target.weight * torch.stack(edges).sum()
+        if weights.dissimilarity > 0:
+            unlike = [s * losses.dissimilarity(i, target.image, target.box) for s, i in images]
+            terms["dissimilarity"] = (
+                weights.dissimilarity * target.weight * torch.stack(unlike).sum()
+            )
         terms["mask"] = weights.mask * target.weight * losses.coverage(alpha, target.matte)
         if self._params.model.skinning is not None:
             early = iteration <= self._params.optimiser.skinning_switch * self._scale
             share = weights.skinning_early if early else weights.skinning_late
             terms["skinning"] = share * self._skinning_loss(SKINNING_SAMPLES)
         return terms
+
+    def _perceived(self, image: Tensor, target: Target) -> Tensor:
+        assert self._lpips is not None
+        return losses.perceptual(self._lpips, image, target.image, target.box)
 
     def _evenness(self) -> dict[str, Tensor]:
         """Gaussians are like their neighbours, the more so the less of the body is seen."""

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts import Avatar, Motion
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE
 from deblur_avatar.storage import Artifact
 
 logger = logging.getLogger(__name__)
@@ -164,8 +165,12 @@ def run_folder(out: Path, key: str, snapshots: frozenset[int]) -> Iterator[RunFo
 
 
 def run_key(seed: int, settings: Iterable[Any], inputs: Iterable[Path]) -> str:
-    """A digest of all that decides a stage's result: its seed, parameters, inputs and this code."""
-    digest = hashlib.sha256(f"{seed} {torch.__version__}".encode())
+    """A digest of all that decides a stage's result: its seed, parameters, inputs and this code.
+
+    Which weights of LPIPS the environment names is among it.
+    """
+    weights = [os.environ.get(variable) for variable in (WEIGHTS_VARIABLE, HEADS_VARIABLE)]
+    digest = hashlib.sha256(f"{seed} {torch.__version__} {weights}".encode())
     for setting in settings:
         digest.update(setting.model_dump_json().encode())
     for folder in (PACKAGE, *inputs):

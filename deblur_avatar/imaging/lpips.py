@@ -85,6 +85,16 @@ def lpips_vgg(
     return torch.cat([model(a[None], b[None]) for a, b in pairs]).double()
 
 
+def configured_lpips() -> Lpips | None:
+    """The distance with the weights that the environment names; None where it does not.
+
+    Raises:
+        ConfigError: if configured files are missing or hold something else.
+    """
+    weights, heads = os.environ.get(WEIGHTS_VARIABLE), os.environ.get(HEADS_VARIABLE)
+    return _configured(weights, heads) if weights and heads else None
+
+
 def load_lpips(weights: Path, heads: Path) -> Lpips:
     """Read torchvision's VGG16 and the published heads.
 

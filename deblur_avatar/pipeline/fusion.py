@@ -1,5 +1,7 @@
 """The last stage of fitting: sharp and averaged renders are blended where the body moved."""
 
+from typing import Any
+
 import torch
 
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
@@ -25,7 +27,7 @@ def fuse(
     generator: torch.Generator,
     report: Report,
     folder: RunFolder | None = None,
-) -> tuple[Avatar, Motion, dict[str, int | float]]:
+) -> tuple[Avatar, Motion, dict[str, Any]]:
     """Finish the avatar and its motion.
 
     Returns:

@@ -1,5 +1,7 @@
 """The second stage of fitting: motion inside each exposure joins the unknowns."""
 
+from typing import Any
+
 import torch
 
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
@@ -26,7 +28,7 @@ def fit_trajectory(
     generator: torch.Generator,
     report: Report,
     folder: RunFolder | None = None,
-) -> tuple[Avatar, Motion, Checkpoint, dict[str, int | float]]:
+) -> tuple[Avatar, Motion, Checkpoint, dict[str, Any]]:
     """Fit renders averaged over the exposure (or sharp ones, by `params`) to the frames.
 
     Returns:

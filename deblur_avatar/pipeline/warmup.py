@@ -1,6 +1,7 @@
 """The first stage of fitting: an avatar without a model of blur."""
 
 import time
+from typing import Any
 
 import torch
 
@@ -21,7 +22,7 @@ def warm_up(
     generator: torch.Generator,
     report: Report,
     folder: RunFolder | None = None,
-) -> tuple[Avatar, Checkpoint, dict[str, int | float]]:
+) -> tuple[Avatar, Checkpoint, dict[str, Any]]:
     """Fit sharp renders at the given poses to the frames, whatever blur they hold.
 
     With a `folder` it goes on where an earlier run of the same was stopped.

@@ -16,6 +16,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting import avatar_fit
 from deblur_avatar.fitting.avatar_fit import AvatarFit
 from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE, Lpips
 
 CPU = torch.device("cpu")
 PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
@@ -91,9 +92,58 @@ def hurried(params):
 
 
 @pytest.fixture
+def lpips_weights(tmp_path, monkeypatch):
+    """Random weights under the names that the environment's files have."""
+    torch.manual_seed(0)
+    model = Lpips()
+    for layer in model.features:
+        if isinstance(layer, torch.nn.Conv2d):
+            torch.nn.init.kaiming_normal_(layer.weight)
+            torch.nn.init.zeros_(layer.bias)
+    trunk = {f"features.{name}": value for name, value in model.features.state_dict().items()}
+    heads = {f"lin{index}.model.1.weight": head for index, head in enumerate(model.heads)}
+    for variable, content in ((WEIGHTS_VARIABLE, trunk), (HEADS_VARIABLE, heads)):
+        torch.save(content, tmp_path / f"{variable}.pth")
+        monkeypatch.setenv(variable, str(tmp_path / f"{variable}.pth"))
+
+
+@pytest.fixture
 def quick_pretraining(monkeypatch):
     monkeypatch.setattr(avatar_fit, "PRETRAIN_SAMPLES", 256)
     monkeypatch.setattr(avatar_fit, "PRETRAIN_RATE", 0.02)
+
+
+def only(params, **weights):
+    """No term but those given."""
+    none = dict.fromkeys(type(params.losses).model_fields, 0.0)
+    return changed(params, "losses", **(none | weights))
+
+
+@pytest.mark.usefixtures("lpips_weights")
+def test_lpips_falls_and_moves_the_avatar_where_its_weights_are_given(begin, start):
+    bare = changed(hurried(start), "optimiser", gaussians_start=0)
+    params = only(bare.model_copy(update={"model": PLAIN}), lpips=1.0, structure=0.1)
+    fit = begin(params=params, last=24)
+    before, terms = everything(fit), []
+    fit.run(1, 24, "sharp", "mean", lambda _, found: terms.append(found))
+    assert {name for name in terms[0] if terms[0][name] > 0} == {"lpips"}
+    first, last = (sum(t["lpips"] for t in part) / 4 for part in (terms[:4], terms[-4:]))
+    assert last < 0.9 * first
+    changed_parts = moved(before, everything(fit))
+    assert {f"model.gaussians.{n}" for n in ("features", "means", "log_scales")} <= changed_parts
+    assert fit.cost(1.0)["perceptual"] == "lpips_vgg"
+
+
+def test_without_its_weights_lpips_changes_nothing(begin, start, monkeypatch):
+    for variable in (WEIGHTS_VARIABLE, HEADS_VARIABLE):
+        monkeypatch.delenv(variable, raising=False)
+    results = []
+    for weight in (0.0, 0.01):
+        fit = begin(params=changed(start, "losses", lpips=weight), last=6)
+        fit.run(1, 6, "sharp", "mean", quiet)
+        results.append(everything(fit))
+        assert fit.cost(1.0)["perceptual"] == "edges"
+    assert not moved(*results)
 
 
 @pytest.mark.usefixtures("quick_pretraining")

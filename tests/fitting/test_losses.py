@@ -41,6 +41,27 @@ def test_nothing_is_lost_where_nothing_is_wrong():
     assert losses.isotropy_of_covars(covars(), covars(), near) == 0
 
 
+@pytest.mark.parametrize("name", ["dissimilarity", "structure"])
+def test_stand_ins_for_lpips_see_a_blurred_picture_of_the_right_level(name):
+    y, x = torch.meshgrid(torch.arange(32.0), torch.arange(32.0), indexing="ij")
+    sharp = (torch.sin(x) * torch.cos(y) > 0).double()[..., None].expand(32, 32, 3)
+    blurred = torch.full_like(sharp, float(sharp.mean()))
+    box = (2, 2, 30, 30)
+    loss = getattr(losses, name)
+    assert loss(sharp, sharp, box) == pytest.approx(0)
+    assert loss(blurred, sharp, box) > 3 * loss(sharp * 0.9, sharp, box) > 0
+    moved = blurred.clone()
+    moved[:2], moved[:, 30:] = 0, 1  # outside of the box
+    assert loss(moved, sharp, box) == loss(blurred, sharp, box)
+
+
+def test_dissimilarity_has_the_gradient_of_its_value():
+    here, there = image(0, 12, 12).requires_grad_(), image(1, 12, 12)
+    assert torch.autograd.gradcheck(lambda i: losses.dissimilarity(i, there, (0, 0, 12, 12)), here)
+    tiny = losses.dissimilarity(here, there, (0, 0, 5, 5))
+    assert tiny == 0
+
+
 def test_photometric_and_coverage_are_mean_absolute_differences():
     here, there = torch.zeros(2, 2, 3), torch.zeros(2, 2, 3)
     there[0, 0] = torch.tensor([0.3, -0.6, 0.0])

@@ -205,3 +205,14 @@ def test_lean_is_taken_apart_as_it_is_at_the_root():
     assert len(methods) == 3
     for ran in methods.values():
         assert ran == set(experiment["methods"])
+
+
+def test_what_stands_in_for_lpips_is_compared_on_the_root_s_starts():
+    root = read_params(ROOT / PARAMS)
+    experiment = read_params(ROOT / "experiments/structure" / PARAMS)
+    paper = root["starts"]["paper"]
+    paper["losses"]["lpips"] = 0.0
+    assert experiment["starts"]["paper_edges"] == paper
+    assert experiment["starts"]["lean_edges"] == root["starts"]["lean"]
+    assert experiment["methods"]["paper_edges"] == root["methods"]["blind"]
+    assert experiment["methods"]["lean_edges"] == root["methods"]["lean"]
