@@ -14,7 +14,7 @@ FINE = {
     "score_novel_pose": 17.0, "area_error": -0.02, "joint_error_mm": 10.0, "virtual_poses": 1.0,
     "initial_joint_error_mm": 16.0, "travel_error_mm": 8.0, "direction_accuracy": 1.0,
     "gaussians": 1800, "mean_scale_mm": 23.5, "stretch": 1.1, "seconds": 2.0, "digest": "a",
-    "given_exposure_s": 0.1, "shutter_s": 0.1, "knots": 4, "flags": [], "warnings": [],
+    "given_exposure_s": 0.1, "shutter_s": 0.1, "knots": 4, "hidden": 0.34, "flags": [], "warnings": [],
 }  # fmt: skip
 BLIND = {**FINE, "score": 16.0, "psnr": 24.0, "psnr_limbs": 15.0, "score_novel_pose": 15.5,
          "travel_error_mm": 134.0}  # fmt: skip
@@ -50,7 +50,7 @@ TOLD = [
     ("missing_poses", {"no_poses": 0.0}, REFUSED, {}),
     ("missing_poses", {"missing_poses_share": 0.3}, {}, REFUSED),
     ("few_frames", {"first_frames": 4.0}, {}, {"knots": 9}),
-    ("narrow_view", {}, {"flags": ["view_coverage_degrees"]}, {}),
+    ("narrow_view", {}, {"hidden": 0.5}, {}),
     ("masks_dilated", {"masks_dilated_px": 1.0}, {}, {"score": 16.9}),
     ("masks_dilated", {"masks_dilated_px": 4.0}, {"score": 16.9}, {"score": 15.9}),
     ("masks_eroded", {"masks_eroded_px": 1.0}, {}, {"score": 16.9}),
