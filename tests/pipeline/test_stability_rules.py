@@ -14,7 +14,8 @@ FINE = {
     "score_novel_pose": 17.0, "area_error": -0.02, "joint_error_mm": 10.0, "virtual_poses": 1.0,
     "initial_joint_error_mm": 16.0, "travel_error_mm": 8.0, "direction_accuracy": 1.0,
     "gaussians": 1800, "mean_scale_mm": 23.5, "stretch": 1.1, "seconds": 2.0, "digest": "a",
-    "given_exposure_s": 0.1, "shutter_s": 0.1, "knots": 4, "hidden": 0.34, "flags": [], "warnings": [],
+    "given_exposure_s": 0.1, "shutter_s": 0.1, "knots": 4, "hidden": 0.34, "flags": [],
+    "warnings": [],
 }  # fmt: skip
 BLIND = {**FINE, "score": 16.0, "psnr": 24.0, "psnr_limbs": 15.0, "score_novel_pose": 15.5,
          "travel_error_mm": 134.0}  # fmt: skip
