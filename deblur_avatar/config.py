@@ -365,7 +365,8 @@ class TrajectoryParams(Params):
     shutter: Literal["given", "estimated"]  # clip: how long it was open
     quadrature: Literal["endpoints", "midpoints"]
     start_noise: NonNegative  # pair: radians; parts start from end
-    knot_frames: Positive  # clip: frames between two knots of the trajectory
+    knot_frames: Positive  # clip: frames between two knots of the trajectory, at most
+    finest_knot_frames: Positive  # clip: and at least, where given poses ask for finer knots
     smoothness: NonNegative  # clip: of the first trajectory, against closeness to the given poses
     supervision: Literal["sharp", "mean", "released"]
     mask: Literal["mean", "union", "centre"]

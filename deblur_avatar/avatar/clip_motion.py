@@ -82,7 +82,7 @@ class ClipMotion(Trajectory):
         count = max(round(span / knot_spacing) + 1, 2)
         spacing = span / (count - 1)
         middles = (timestamps - first) / spacing
-        quats = _continuous(axis_angle_to_quat(stacked_axis_angle(poses)))
+        quats = continuous(axis_angle_to_quat(stacked_axis_angle(poses)))
         knots = fit_knots(quats.flatten(1), middles, count, smoothness).unflatten(1, (-1, 4))
         axis_angle = quat_to_axis_angle(nn.functional.normalize(knots, dim=-1))
         transl = fit_knots(poses.transl, middles, count, smoothness)
@@ -156,7 +156,7 @@ def _size(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, ""]:
     return vectors.square().sum(-1).sum() / max(vectors[..., 0].numel(), 1)
 
 
-def _continuous(quats: Float[Tensor, "F J 4"]) -> Float[Tensor, "F J 4"]:
+def continuous(quats: Float[Tensor, "F J 4"]) -> Float[Tensor, "F J 4"]:
     """Choose, of the two quaternions of each rotation, the one nearer to the frame before."""
     flips = torch.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)
     signs = torch.cat([torch.ones_like(flips[:1]), flips]).cumprod(0)

@@ -12,6 +12,7 @@ from deblur_avatar.avatar.motion import FrameMotion, Trajectory, instants
 from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
+from deblur_avatar.fitting.knot_spacing import choose_spacing
 from deblur_avatar.fitting.run_folder import RunFolder
 from deblur_avatar.fitting.virtual_poses import choose_counts
 
@@ -74,9 +75,12 @@ def new_trajectory(
             )
         frame = float(observations.timestamps.diff().median())
         u = instants(params.virtual_poses, params.quadrature)
+        coarsest, finest = params.knot_frames * frame, params.finest_knot_frames * frame
+        spacing = choose_spacing(
+            poses, observations.timestamps, coarsest, finest, params.smoothness
+        )
         return ClipMotion.near(
-            poses, u, observations.timestamps, observations.exposure,
-            params.knot_frames * frame, params.smoothness,
+            poses, u, observations.timestamps, observations.exposure, spacing, params.smoothness,
             estimate_shutter=params.shutter == "estimated",
         )  # fmt: skip
     return FrameMotion(poses, refined=params.motion == "frame")
