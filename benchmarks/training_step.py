@@ -55,6 +55,7 @@ WARM_UP = 10
 # The profiler's names of products of matrices, besides oneDNN's.
 PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "mv", "addmv", "addmv_", "convolution_backward")
 PART = "part: "
+TERMS = ("pictures", "skinning", "isotropy", "evenness", "priors")
 
 Step = Callable[[int], Any]
 
@@ -169,8 +170,10 @@ def naive(fit: AvatarFit) -> Step:
         assert dressed.pose_code is not None
         blend = fit.fusion(sharp, dressed.pose_code, index, target.box)
         last = fit._schedule.fusion - STEPS + iteration
-        terms = fit._losses(last, [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target)
-        terms |= fit._isotropy(*posed)
+        terms = fit.objective.pictures(
+            [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target
+        ) | fit.objective.skinning(last)
+        terms |= fit.objective.isotropy(*posed)
         fit.descent.step(last, torch.stack(list(terms.values())).sum())
 
     return step
@@ -194,7 +197,7 @@ def parts_of(fit: AvatarFit, step: Step) -> dict[str, Any]:
     named: list[tuple[Any, str, str]] = [
         (fit.model, "dress", "networks"), (fit.model, "colors", "networks"),
         (fit, "_transforms", "skinning"), (fit, "_rasterize", "rasterize"),
-        (fit, "_losses", "losses"), (fit, "_isotropy", "losses"), (fit, "_evenness", "losses"),
+        *((fit.objective, name, "losses") for name in TERMS),
         (fit.descent, "step", "optimiser"), (fit, "_densify", "optimiser"),
         (fit.trajectory, "forward", "skinning"), (fit.fusion, "forward", "networks"),
     ]  # fmt: skip

@@ -13,32 +13,24 @@ import torch
 from torch import Tensor
 
 from deblur_avatar.artifacts import Checkpoint, Observations
-from deblur_avatar.avatar.body import joints_from_rotations
-from deblur_avatar.avatar.clip_motion import LEVER
-from deblur_avatar.avatar.gaussians import face_areas, neighbour_indices, sample_surface
-from deblur_avatar.avatar.model import AvatarModel, Dressed, encode
+from deblur_avatar.avatar.model import AvatarModel, Dressed
 from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import ScheduleParams, StartParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.fitting import losses
 from deblur_avatar.fitting.densify import Densifier, replace_gaussians
 from deblur_avatar.fitting.descent import PAPER_ITERATIONS, Descent
 from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.fitting.objective import Objective
 from deblur_avatar.fitting.run_folder import Progress, RunFolder, Snapshot
 from deblur_avatar.fitting.supervision import BOTH_UNTIL, RELEASED, shares, still_frames
-from deblur_avatar.fitting.surface_height import Feet, feet_of
 from deblur_avatar.fitting.targets import Target, target_of
-from deblur_avatar.imaging.lpips import configured_lpips
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
 Report = Callable[[int, Mapping[str, float]], None]
 
-ISOTROPY_NEIGHBOURS = 4  # 3DGS-Avatar: five nearest, the point itself among them
 NEIGHBOUR_REFRESH = 100  # steps; canonical positions move by less than their spacing in between
-SKINNING_SAMPLES = 1024  # points on the body a step (3DGS-Avatar)
 PRETRAIN_SAMPLES = 4096
 PRETRAIN_RATE = 2e-3
-HEIGHT = 0.01  # metres off the body that weigh like a unit of a raw colour
 POSE_NOISE_SHARE = 0.5  # of the steps have noise on the conditioning pose (3DGS-Avatar)
 
 
@@ -68,7 +60,6 @@ class AvatarFit:
         self._K = observations.cameras.Ks[camera].to(device)
         self._viewmat = observations.cameras.viewmats[camera].to(device)
         self._timestamps = observations.timestamps
-        self._depth_known, self._hidden = observations.depth_known, observations.hidden
         self._targets = {
             index: target_of(observations, index, device)
             for index in observations.train
@@ -76,14 +67,11 @@ class AvatarFit:
         }
         if not self._targets:
             raise ArtifactError("no training frame shows a person; check masks and weights")
-        self._lpips = configured_lpips() if params.losses.lpips > 0 else None
-        if self._lpips is not None:
-            self._lpips = self._lpips.to(device)
+        self.objective = Objective(
+            model, trajectory, observations, params, self._scale, device, generator
+        )
         self._queue: list[int] = []
-        self._neighbours: Tensor | None = None
-        self._feet: Feet | None = None
         self._still: set[int] | None = None
-        self._areas = face_areas(model.canonical_vertices, model.body.faces.to(device))
         self.descent = Descent(model, trajectory, fusion, params, schedule)
         self._densifier = Densifier(len(model.gaussians), device)
 
@@ -99,7 +87,7 @@ class AvatarFit:
         decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(iterations, 1))
         for _ in range(iterations):
             optimiser.zero_grad()
-            self._skinning_loss(PRETRAIN_SAMPLES).backward()
+            self.objective.skinning_apart(PRETRAIN_SAMPLES).backward()
             optimiser.step()
             decay.step()
 
@@ -181,10 +169,11 @@ class AvatarFit:
         blended = self.fusion is not None
         weights = shares(supervision, iteration / self._scale, still, blended)
         compared = [(weight, pictures[name]) for name, weight in weights.items()]
-        terms = self._losses(iteration, compared, alpha, target)
+        terms = self.objective.pictures(compared, alpha, target)
+        terms |= self.objective.skinning(iteration)
         middle = len(means) // 2
-        terms |= self._isotropy(means[middle], covars[middle])
-        terms |= self._evenness() | self._priors(index, instants)
+        terms |= self.objective.isotropy(means[middle], covars[middle])
+        terms |= self.objective.evenness() | self.objective.priors(index, instants)
         total = torch.stack(list(terms.values())).sum()
         if self.descent.step(iteration, total):
             self._densify(iteration, drawn, target)
@@ -192,12 +181,11 @@ class AvatarFit:
 
     def cost(self, seconds: float) -> dict[str, Any]:
         """What a stage's measurements say of it, and which perceptual term it had."""
-        edges = "edges" if self._params.losses.structure > 0 else None
         return {
             "seconds": seconds,
             "gaussians": len(self.model.gaussians),
             "left_out": self.descent.left_out,
-            "perceptual": edges if self._lpips is None else "lpips_vgg",
+            "perceptual": self.objective.perceptual,
         }
 
     def checkpoint(self, iteration: int) -> Checkpoint:
@@ -321,105 +309,6 @@ class AvatarFit:
             width, height, average=average,
         )  # fmt: skip
 
-    def _losses(
-        self,
-        iteration: int,
-        compared: list[tuple[float, Tensor]],
-        alpha: Tensor,
-        target: Target,
-    ) -> dict[str, Tensor]:
-        weights = self._params.losses
-        images = [(share, encode(image, self.model.light)) for share, image in compared]
-        apart = [share * losses.photometric(image, target.image) for share, image in images]
-        terms = {"l1": weights.l1 * target.weight * torch.stack(apart).sum()}
-        if self._lpips is not None:
-            seen = [s * self._perceived(image, target) for s, image in images]
-            terms["lpips"] = weights.lpips * target.weight * torch.stack(seen).sum()
-        elif weights.structure > 0:
-            edges = [s * losses.structure(image, target.image, target.box) for s, image in images]
-            terms["structure"] = weights.structure * target.weight * torch.stack(edges).sum()
-        if weights.dissimilarity > 0:
-            unlike = [s * losses.dissimilarity(i, target.image, target.box) for s, i in images]
-            terms["dissimilarity"] = (
-                weights.dissimilarity * target.weight * torch.stack(unlike).sum()
-            )
-        terms["mask"] = weights.mask * target.weight * losses.coverage(alpha, target.matte)
-        if self._params.model.skinning is not None:
-            early = iteration <= self._params.optimiser.skinning_switch * self._scale
-            share = weights.skinning_early if early else weights.skinning_late
-            terms["skinning"] = share * self._skinning_loss(SKINNING_SAMPLES)
-        return terms
-
-    def _perceived(self, image: Tensor, target: Target) -> Tensor:
-        assert self._lpips is not None
-        return losses.perceptual(self._lpips, image, target.image, target.box)
-
-    def _evenness(self) -> dict[str, Tensor]:
-        """Gaussians are like their neighbours, the more so the less of the body is seen."""
-        weights, gaussians = self._params.losses, self.model.gaussians
-        if weights.even_colors == weights.even_shapes == weights.even_heights == 0:
-            return {}
-        if self._feet is None:
-            faces = self.model.body.faces.to(self._device)
-            self._feet = feet_of(gaussians.means, self.model.canonical_vertices, faces)
-        shapes = torch.cat([gaussians.log_scales, gaussians.opacity_logits[:, None]], dim=1)
-        values = {
-            "even_colors": gaussians.features,
-            "even_shapes": shapes,
-            "even_heights": self._feet.heights(gaussians.means)[:, None] / HEIGHT,
-        }
-        return {
-            name: self._hidden * getattr(weights, name) * losses.unevenness(value, self._near())
-            for name, value in values.items()
-        }
-
-    def _priors(self, index: int, instants: Instants) -> dict[str, Tensor]:
-        """What is known of the motion beforehand; other cameras may have told its depth."""
-        weights = self._params.losses.model_dump()
-        priors = self.trajectory.priors()
-        first = self.trajectory.first(index) if self._depth_known else None
-        if first is not None and weights["depth"] > 0:
-            # Steps towards the camera, in radians of a joint's turn.
-            shift = (self._depths(instants) - self._depths(first)) / LEVER
-            priors["depth"] = shift.square().mean()
-        return {name: weights[name] * term for name, term in priors.items() if weights[name] > 0}
-
-    def _depths(self, instants: Instants) -> Tensor:
-        """How far the joints are from the camera at the middle of an exposure, metres."""
-        places = joints_from_rotations(
-            self.model.body, self.model.betas, instants.centre_rotations, instants.centre_transl
-        )
-        return places @ self._viewmat[2, :3] + self._viewmat[2, 3]
-
-    def _near(self) -> Tensor:
-        if self._neighbours is None:
-            self._neighbours = neighbour_indices(self.model.gaussians.means, ISOTROPY_NEIGHBOURS)
-        return self._neighbours
-
-    def _isotropy(self, posed_means: Tensor, posed_covars: Tensor) -> dict[str, Tensor]:
-        weights = self._params.losses
-        if weights.isotropy_means == 0 and weights.isotropy_covars == 0:
-            return {}
-        near = self._near()
-        canonical = self.model.gaussians.means, self.model.canonical_covariances()
-        return {
-            "isotropy_means": weights.isotropy_means
-            * losses.isotropy_of_means(canonical[0], posed_means, near),
-            "isotropy_covars": weights.isotropy_covars
-            * losses.isotropy_of_covars(canonical[1], posed_covars, near),
-        }
-
-    def _skinning_loss(self, samples: int) -> Tensor:
-        body = self.model.body
-        vertices = self.model.canonical_vertices
-        faces = body.faces.to(self._device)
-        points, chosen, corners = sample_surface(
-            vertices, faces, samples, self._generator, self._areas
-        )
-        own = body.lbs_weights.to(self._device)[faces[chosen]]
-        wanted = (corners[..., None] * own).sum(1)
-        return losses.skinning(self.model.weights_at(points), wanted)
-
     def _densify(self, iteration: int, drawn: Rasterization, target: Target) -> None:
         params = self._params.densify
         if not params.start * self._scale < iteration < params.stop * self._scale:
@@ -434,7 +323,7 @@ class AvatarFit:
 
     def _look_up_again(self) -> None:
         """Forget who is next to whom and where on the body, because Gaussians have moved."""
-        self._neighbours, self._feet = None, None
+        self.objective.look_up_again()
         self.model.look_up_again()
 
     def _next_frame(self) -> int:

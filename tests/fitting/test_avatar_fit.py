@@ -13,7 +13,7 @@ from deblur_avatar.avatar.motion import FrameMotion, PairMotion, instants
 from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
 from deblur_avatar.config import ModelParams, ScheduleParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.fitting import avatar_fit
+from deblur_avatar.fitting import avatar_fit, objective
 from deblur_avatar.fitting.avatar_fit import AvatarFit
 from deblur_avatar.fitting.fusion_network import FusionNetwork
 from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE, Lpips
@@ -167,9 +167,9 @@ def test_fitting_makes_pictures_like_the_frames(begin, observations, start):
 @pytest.mark.usefixtures("quick_pretraining")
 def test_pretraining_teaches_the_bodys_own_weights(begin):
     fit = begin()
-    before = fit._skinning_loss(1000).item()
+    before = fit.objective.skinning_apart(1000).item()
     fit.pretrain_skinning(100)
-    assert fit._skinning_loss(1000).item() < 0.6 * before
+    assert fit.objective.skinning_apart(1000).item() < 0.6 * before
 
 
 def test_without_a_skinning_network_there_is_nothing_to_pretrain(begin, start):
@@ -330,9 +330,9 @@ def test_the_released_code_compares_sharp_and_mean_then_sharp_and_fused(begin, f
     fit = begin(motion="released", fused=fused, last=150, noise=0.3)
     weights = {"sharp": 0.1, "fused": 1.0} if fused else {"sharp": 1.0, "mean": 1.0}
     seen = []
-    compare = fit._losses
-    fit._losses = lambda iteration, compared, *rest: (
-        seen.append([weight for weight, _ in compared]) or compare(iteration, compared, *rest)
+    compare = fit.objective.pictures
+    fit.objective.pictures = lambda compared, *rest: (
+        seen.append([weight for weight, _ in compared]) or compare(compared, *rest)
     )
     fit._still = set()
     terms = fit.step(80 if fused else 40, "released", "union")
@@ -621,7 +621,7 @@ def test_what_no_picture_shows_takes_after_its_neighbours(begin, start):
         with torch.no_grad():
             features.copy_(torch.randn(features.shape, generator=seeded(4)))
         fit.run(1, 60, "sharp", "mean", quiet)
-        apart = features[fit._near()] - features[:, None]
+        apart = features[fit.objective.near()] - features[:, None]
         hidden = fit.model.gaussians.means[:, 2] < 0
         return float(apart[hidden].abs().mean().detach())
 
@@ -647,7 +647,7 @@ def test_steps_towards_the_camera_are_held_back_and_steps_across_are_not(begin, 
     def held_back(step: list[float]) -> float:
         with torch.no_grad():
             fit.trajectory.transl += torch.tensor(step)
-            term = fit._priors(2, fit.trajectory(2))["depth"]
+            term = fit.objective.priors(2, fit.trajectory(2))["depth"]
             fit.trajectory.transl -= torch.tensor(step)
         return float(term)
 
@@ -663,7 +663,7 @@ def test_depth_is_free_where_the_first_poses_do_not_know_it(begin, start, sharpe
     fit = begin(params=params, motion="clip", seen=sharpened(depth_known=False))
     with torch.no_grad():
         fit.trajectory.transl += 0.1
-    assert "depth" not in fit._priors(2, fit.trajectory(2))
+    assert "depth" not in fit.objective.priors(2, fit.trajectory(2))
 
 
 def test_a_frame_that_is_trusted_less_counts_less(begin, start, sharpened, observations):
@@ -676,4 +676,4 @@ def test_a_frame_that_is_trusted_less_counts_less(begin, start, sharpened, obser
 
 def test_motion_that_remembers_no_start_is_not_held_back(begin, start):
     fit = begin(params=changed(start, "losses", depth=2.0, anchor=1.0), motion="pair")
-    assert fit._priors(2, fit.trajectory(2)) == {}
+    assert fit.objective.priors(2, fit.trajectory(2)) == {}
