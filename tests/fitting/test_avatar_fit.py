@@ -442,7 +442,7 @@ def look_ups(monkeypatch):
 
         monkeypatch.setattr(module, name, watched)
 
-    watch(avatar_fit, "neighbour_indices")
+    watch(objective, "neighbour_indices")
     watch(model_module, "surface_weights")
     return made
 
