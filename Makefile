@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: setup repro avatar check stability test bench deps readme clean-cache
+.PHONY: setup repro avatar check stability test fuzz bench deps readme clean-cache
 
 setup: $(STAMP)
 
@@ -45,6 +45,10 @@ test: $(STAMP)
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/lint-imports
 	$(BIN)/mypy
 	DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q
+
+# Over 10,000 hostile files for every reader of files (some ten minutes); `make test` has a sample.
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.rasterizer
