@@ -450,7 +450,7 @@ def _films(good: bytes) -> Iterator[bytes]:
 def _tall(width: int, height: int) -> bytes:
     stream = io.BytesIO()
     with av.open(stream, "w", format="avi") as container:
-        video = container.add_stream("ffv1", rate=Fraction(25))
+        video = container.add_stream("mpeg4", rate=Fraction(25))
         video.width, video.height, video.pix_fmt = width, height, "yuv420p"
         for value in (10, 200):
             image = np.full((height, width, 3), value, np.uint8)
