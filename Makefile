@@ -46,7 +46,7 @@ test: $(STAMP)
 	$(BIN)/mypy
 	DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q
 
-# Over 10,000 hostile files for every reader of files (some ten minutes); `make test` has a sample.
+# Hostile files for every reader of files, over 10,000; `make test` has a sample.
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz
 

@@ -29,6 +29,7 @@ from deblur_avatar.errors import ArtifactError, ConfigError
 MOST_MEMORY = 1 << 30  # bytes that reading one input may take; what the readers promise
 MOST_ADDRESSES = 3 << 30  # bytes of address space: libraries reserve more than they use
 MOST_SECONDS = 10.0  # of processor time for one input
+MOST_WAITING = 60.0  # seconds by the clock for one input: other programs run as well
 FORBIDDEN = (
     "os.system", "os.exec", "os.posix_spawn", "os.fork", "os.forkpty", "os.spawn", "os.startfile",
     "subprocess.Popen", "socket.connect", "socket.bind", "socket.getaddrinfo", "urllib.Request",
@@ -48,44 +49,65 @@ class Tally:
     peak_mb: float = 0.0  # the most memory that one input took
     slowest_s: float = 0.0
     failures: dict[str, str] = dataclasses.field(default_factory=dict)  # where: what came
+    deaths: int = 0  # how often the process ended
+    finished: bool = False
+    functions: list[str] = dataclasses.field(default_factory=list)  # that read the good file
 
 
 class TooSlow(BaseException):
     """Not an `Exception`, so that no reader takes it for damage of its file."""
 
 
-def in_child(work: Callable[[], Tally], name: str, seconds: float) -> Tally:
-    """Run `work` in a fork of this process; a child that dies or hangs is a failure too."""
+Tell = Callable[[Tally], None]
+
+
+def in_child(work: Callable[[Tell], Tally], tally: Tally, seconds: float) -> Tally:
+    """Run `work` in a fork of this process; a child that dies or hangs is a failure too.
+
+    Args:
+        work: takes what is to be called with its tally before each input.
+        tally: what is known so far.
+        seconds: by the clock, from one telling to the next.
+
+    Returns:
+        The last tally, `finished` if the child came to its end.
+    """
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_child, args=(work, sender))
     child.start()
     sender.close()
+    reason = f"nothing came back for {seconds:.0f} s"
     try:
-        if receiver.poll(seconds):
-            return receiver.recv()
-        reason = f"nothing came back for {seconds:.0f} s"
-    except EOFError:
+        while receiver.poll(seconds):
+            tally = receiver.recv()
+            if tally.finished:
+                return tally
+    except (EOFError, ConnectionResetError):
         child.join()
-        reason = f"the process died with exit code {child.exitcode}"
+        reason = f"the process ended with exit code {child.exitcode}"
     finally:
         child.kill()
         child.join()
-    return Tally(reader=name, failures={"child": reason})
+    tally.failures[f"input {tally.inputs}"] = reason
+    tally.deaths += 1
+    return tally
 
 
-def _child(work: Callable[[], Tally], sender: Any) -> None:
+def _child(work: Callable[[Tell], Tally], sender: Any) -> None:
     limit = _status("VmSize") + MOST_ADDRESSES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGPROF, _too_slow)
+    signal.signal(signal.SIGALRM, _too_slow)
     warnings.simplefilter("ignore")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # native libraries complain there
     sys.addaudithook(_note)
     try:
-        sender.send(work())
+        tally = work(sender.send)
     except BaseException:
-        sender.send(Tally("", failures={"child": traceback.format_exc()[-1500:]}))
+        tally = Tally("", failures={"child": traceback.format_exc()[-1500:]})
+    sender.send(dataclasses.replace(tally, finished=True))
 
 
 def try_input(read: Callable[[], object], tally: Tally, acts: list[str]) -> None:
@@ -101,6 +123,7 @@ def try_input(read: Callable[[], object], tally: Tally, acts: list[str]) -> None
                 result = read()
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+            signal.setitimer(signal.ITIMER_REAL, 0)
         tally.read += 1
         wrong = _not_finite(result)
         if wrong:
@@ -110,7 +133,8 @@ def try_input(read: Callable[[], object], tally: Tally, acts: list[str]) -> None
         if _memory_in(error):
             tally.failures.setdefault(_place(error), f"memory was asked for in vain: {error}"[:400])
     except TooSlow as error:
-        tally.failures.setdefault(_place(error), f"over {MOST_SECONDS:.0f} s of processor time")
+        limits = f"over {MOST_SECONDS:.0f} s of processor time, or {MOST_WAITING:.0f} s of waiting"
+        tally.failures.setdefault(_place(error), limits)
     except Exception as error:
         tally.failures.setdefault(_place(error), f"{type(error).__name__}: {error}"[:400])
     took = (_status("VmHWM") - before) / 2**20
@@ -120,6 +144,24 @@ def try_input(read: Callable[[], object], tally: Tally, acts: list[str]) -> None
         tally.failures.setdefault("memory", f"{took:.0f} MB for one input")
     for act in acts:
         tally.failures.setdefault(act, "was done while a file was read")
+
+
+@contextlib.contextmanager
+def noted_functions(found: list[str]) -> Iterator[None]:
+    """Enter the package's functions that run, each as `pipeline/report.py:read_results`."""
+    names: set[str] = set()
+
+    def note(frame: Any, event: str, _: object) -> None:
+        if event == "call" and "/deblur_avatar/" in frame.f_code.co_filename:
+            file = frame.f_code.co_filename.split("/deblur_avatar/")[-1]
+            names.add(f"{file}:{frame.f_code.co_name}")
+
+    sys.setprofile(note)
+    try:
+        yield
+    finally:
+        sys.setprofile(None)
+    found += sorted(names)
 
 
 _watching: list[str] | None = None
@@ -161,7 +203,8 @@ def _place(error: BaseException) -> str:
     ]
     if not frames:
         return "outside of the package"
-    return f"{frames[-1].filename.split('/deblur_avatar/')[-1]}:{frames[-1].lineno}"
+    last = frames[-1]
+    return f"{last.filename.split('/deblur_avatar/')[-1]}:{last.lineno} in {last.name}"
 
 
 def _memory_in(error: BaseException | None) -> bool:

@@ -13,6 +13,7 @@ import pickle
 import re
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ WORDS = (
     b"nan", b"inf", b"-inf", b"1e309", b"1e39", b"1e300", b"5e-324", b"-1", b"0", b"9" * 5000,
     b"10000000000000", b"\xc2\xb2", b"\xd9\xa3", b"1_0", b"0x10", b"", b"\x00", b"\xff\xfe",
     b"null", b"true", b"[]", b"{}", b'"', b"[" * 2000, b"../" * 9 + b"etc/passwd", b"\\ud800",
-    "\u202e\u00e9\U0001f600".encode(), b"%s%n", b"<!---->", b"&x;", b"*x", b"!!python/name:os.system",
+    "\u202e\u00e9\U0001f600".encode(), b"%s%n", b"<!---->", b"&x;", b"*x",
+    b"!!python/name:os.system",
 )  # fmt: skip
 TEXT = (".json", ".yaml", ".toml", ".txt", ".bvh")
 
@@ -64,19 +66,8 @@ def hostile(draw: st.DrawFn, content: bytes, suffix: str) -> bytes:
     if suffix in TEXT:
         families += [_word, _word, _lines]
     if suffix in CODECS:
-        families += [_value, _value, _value, _value, _value]
-    return (
-        draw(st.sampled_from(families))(draw, content)
-        if suffix not in CODECS
-        else _coded(draw, content, suffix, draw(st.sampled_from(families)))
-    )
-
-
-def _coded(draw: st.DrawFn, content: bytes, suffix: str, family: Any) -> bytes:
-    if family is not _value:
-        return family(draw, content)
-    read, write = CODECS[suffix]
-    return _value_changed(draw, content, read, write)
+        families += [partial(_value, suffix=suffix)] * 5
+    return draw(st.sampled_from(families))(draw, content)
 
 
 # --- bytes --------------------------------------------------------------------------------------
@@ -156,16 +147,8 @@ def _lines(draw: st.DrawFn, content: bytes) -> bytes:
 # --- values -------------------------------------------------------------------------------------
 
 
-def _value(draw: st.DrawFn, content: bytes) -> bytes:
-    raise AssertionError("stands for `_value_changed`")
-
-
-def _value_changed(
-    draw: st.DrawFn,
-    content: bytes,
-    read: Callable[[bytes], Any],
-    write: Callable[[Any, st.DrawFn], bytes],
-) -> bytes:
+def _value(draw: st.DrawFn, content: bytes, suffix: str) -> bytes:
+    read, write = CODECS[suffix]
     tree = copy.deepcopy(read(content))
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 3)))):
         tree = _changed(draw, tree)
@@ -223,7 +206,8 @@ def _array(draw: st.DrawFn, value: np.ndarray) -> Any:
         return np.zeros(value.shape, [("a", "f8"), ("b", "O")])
     if action == "shape":
         shapes = (
-            value.ravel(), value[None], value[..., None], value.T, value[:0], value[:1], value[..., :0],
+            value.ravel(), value[None], value[..., None], value.T, value[:0], value[:1],
+            value[..., :0],
             value.ravel()[:1].reshape(()) if value.size else value, np.repeat(value[None], 3, 0),
             value.ravel()[:1].reshape((1,) * 20) if value.size else value,
         )  # fmt: skip

@@ -1,8 +1,9 @@
 """Every reader of files that this project has, each with a small file that it reads.
 
-A reader that is missing here is found by `tests/structure/test_fuzzed_readers.py`.
+A reader that is missing here is found by `test_readers.py` beside it.
 """
 
+import contextlib
 import dataclasses
 import json
 import pickle
@@ -10,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
-import cv2
 import numpy as np
 import torch
 from PIL import Image
@@ -20,11 +20,14 @@ from deblur_avatar import artifacts, run
 from deblur_avatar.avatar.capsule_body import capsule_body
 from deblur_avatar.avatar.smpl_files import read_smpl
 from deblur_avatar.config import RunParams, check_parameters, read_yaml
+from deblur_avatar.fitting import run_folder
 from deblur_avatar.imaging import lpips
 from deblur_avatar.imaging.picture_files import read_mask, read_picture
-from deblur_avatar.pipeline.costs import read_costs
+from deblur_avatar.pipeline import own_video
+from deblur_avatar.pipeline.costs import STAGES, cost_files, read_costs
 from deblur_avatar.pipeline.picture_strips import strips_of_scene
 from deblur_avatar.pipeline.report import read_results
+from deblur_avatar.pipeline.timeline import moments_of
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.focal_length import focal_of_files
 from deblur_avatar.sources.footage import read_footage
@@ -65,10 +68,33 @@ def _write_parameters(folder: Path) -> None:
         "starts": wanted["start"], "methods": wanted["method"], "warmups": warmup, "runs": name,
     }  # fmt: skip
     below = {section: {key: content[section][key]} for section, key in used.items()}
-    below |= {"check": content["check"], "animations": {}}
-    above = {"shared": "below.yaml", "seed": 0, "schedule": content["schedule"]}
+    below |= {"check": content["check"], "animations": {}, "predeblur": {}}
+    above = {"shared": "below.yaml", "seed": 0, "snapshots": 0, "schedule": content["schedule"]}
     (folder / "below.yaml").write_text(json.dumps(below, indent=1))
     (folder / "params.yaml").write_text(json.dumps(above, indent=1))
+
+
+def _write_avatar(folder: Path) -> None:
+    """What `make avatar` wrote for one video."""
+    methods = {"lean": {}}
+    shared = {"methods": methods, "starts": methods, "schedules": {"quick": {}}}
+    clip = {"path": str((folder / "film.mp4").resolve())}
+    own = {"scenes": {"me": {"clip": clip}}, "warmups": {}, "runs": {}, "animations": {}}
+    (folder / "params.yaml").write_text(json.dumps(shared))
+    place = folder / own_video.AVATARS / "me" / "params.yaml"
+    place.parent.mkdir(parents=True)
+    place.write_text(json.dumps({"shared": "../../params.yaml"} | own))
+
+
+class _Read(Exception):
+    """All has been read, and what follows would write."""
+
+
+def _avatar(folder: Path) -> None:
+    nothing = mock.patch.object(Path, "mkdir")
+    written = mock.patch.object(own_video, "_write", side_effect=_Read)
+    with nothing, written, contextlib.suppress(_Read):
+        own_video.prepare(folder / "film.mp4", "me", "lean", "quick", folder)
 
 
 def _write_numbers(folder: Path) -> None:
@@ -86,11 +112,17 @@ def _write_metrics(folder: Path) -> None:
 
 def _write_costs(folder: Path) -> None:
     cost = {"seconds": 1.5, "peak_memory_mb": 300.0}
-    paths: list[Path] = []
-    with mock.patch("deblur_avatar.pipeline.costs._read", lambda path: paths.append(path) or cost):
-        read_costs(folder, _RUN)
-    for path in paths:
+    for path in cost_files(folder, _RUN).values():
         run.write_json(path, cost)
+
+
+def _write_moments(folder: Path) -> None:
+    for path in cost_files(folder, _RUN).values():
+        run.write_json(path, {"seconds": 1.5, "snapshots": [{"iteration": 3, "seconds": 0.5}]})
+
+
+def _moments(folder: Path) -> object:
+    return moments_of({stage: folder / stage for stage in STAGES}, folder, _RUN)
 
 
 def _write_views(folder: Path) -> None:
@@ -153,7 +185,8 @@ def example(kind: type[Artifact]) -> Artifact:
     """A small artifact of each kind, with every field that may be there."""
     frames, stack = tuple(range(FRAMES)), (1, FRAMES, 6, 8)
     clip = {
-        "frames": _images(*stack, 3), "mattes": _images(*stack), "landmarks": torch.ones(1, 3, 4, 3),
+        "frames": _images(*stack, 3), "mattes": _images(*stack),
+        "landmarks": torch.ones(1, 3, 4, 3),
         "recorded": (0,), "train_camera": 0, "cameras": _cameras(), "timestamps": _times(),
         "exposure": 0.01, "light": "srgb", "held_out_from": 2, "initial": _poses(),
         "exact": _poses(), "frame_indices": frames,
@@ -195,15 +228,25 @@ def example(kind: type[Artifact]) -> Artifact:
             "global_orient": torch.zeros(3, 2, 3), "body_pose": torch.zeros(3, 2, 1, 3),
             "transl": torch.zeros(3, 2, 3), "centre": _poses(), "parameters": {"a": torch.ones(2)},
         },
+        "Progress": {
+            "key": "x", "iteration": 3, "seconds": 0.5, "left_out": 0,
+            "tensors": {"a": torch.ones(2)},
+        },
         "Checkpoint": {"iteration": 3, "tensors": {"a": torch.ones(2), "b": torch.arange(2)}},
     }  # fmt: skip
+    if kind is run_folder.Snapshot:
+        return kind(avatar=example(artifacts.Avatar), motion=example(artifacts.Motion))
     return kind(**fields[kind.__name__])
 
 
 ARTIFACTS = tuple(
     kind
-    for kind in vars(artifacts).values()
-    if isinstance(kind, type) and issubclass(kind, Artifact) and kind is not Artifact
+    for module in (artifacts, run_folder)
+    for kind in vars(module).values()
+    if isinstance(kind, type)
+    and issubclass(kind, Artifact)
+    and kind is not Artifact
+    and kind.__module__ == module.__name__
 )
 
 # --- calibration --------------------------------------------------------------------------------
@@ -441,9 +484,11 @@ def _weights(folder: Path) -> object:
 
 READERS: tuple[Reader, ...] = (
     Reader("parameters", _write_parameters, lambda f: check_parameters(f / "params.yaml")),
+    Reader("own avatar", _write_avatar, _avatar),
     Reader("numbers of a stage", _write_numbers, lambda f: run.read_json(f / "fit.json")),
     Reader("metrics", _write_metrics, read_results),
     Reader("costs", _write_costs, lambda f: read_costs(f, _RUN)),
+    Reader("moments", _write_moments, _moments),
     Reader("views", _write_views, lambda f: strips_of_scene({"m": f}, 2)),
     *(
         Reader(

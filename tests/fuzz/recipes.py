@@ -6,6 +6,7 @@ a command. Sizes that are claimed are terabytes.
 
 import builtins
 import io
+import json
 import os
 import pickle
 import struct
@@ -172,7 +173,7 @@ def _npz(good: bytes) -> Iterator[bytes]:
         members = {name: archive.read(name) for name in archive.namelist()}
     for name in members:
         for content in (
-            _header(f"({TERABYTES},)"), _header(f"({TERABYTES}, 72)"), _header("(-1,)"), b"raw bytes",
+            _header(f"({TERABYTES},)"), _header(f"({TERABYTES}, 72)"), _header("(-1,)"), b"raw",
             _header("(100000000,)"), _header("(0, 9999999999999999999)"), _header("((((1,),),),)"),
             _header("(1,)", "|O") + _run(os.system, CANARY), _header("(3,)", "<U9999999"), b"",
         ):  # fmt: skip
@@ -259,7 +260,7 @@ def _programs() -> Iterator[bytes]:
     yield _run(os.system, CANARY)
     yield _run(builtins.eval, "open('canary', 'w')")
     yield _run(builtins.exec, "open('canary', 'w')")
-    yield _run(builtins.getattr, os, "system") if False else _run(builtins.open, "canary", "w")
+    yield _run(builtins.open, "canary", "w")
     yield _run(np.save, "canary.npy", np.zeros(1))
     yield b"(S'" + CANARY.encode() + b"'\nios\nsystem\n."
     yield b"\x80\x02cos\nsystem\n(S'" + CANARY.encode() + b"'\no."
@@ -304,11 +305,13 @@ def _programs() -> Iterator[bytes]:
         + _global("numpy", "ndarray")
         + b"K\x00\x85C\x01b\x87R"
     )
+    objects = dtype + b"\x8c\x02O8\x89\x88\x87R"
     states = (
         b"(K\x03\x8c\x01|NNNJ\xff\xff\xff\x7fK\x01K\x00t",
         b"(K\x03\x8c\x01<NNNJ\x00\x00\x00\x01J\x00\x00\x00\x01K\x00t",
-        b"(K\x03\x8c\x01|N\x8c\x01a\x85}\x8c\x01a" + dtype + b"\x8c\x02O8\x89\x88\x87RJ\xff\xff\xff\x7f\x86sK\x08K\x01K\x10t",
-        b"(K\x03\x8c\x01|" + dtype + b"\x8c\x02O8\x89\x88\x87RJ\xff\xff\x00\x00\x85\x86NNK\x08K\x01K?t",
+        b"(K\x03\x8c\x01|N\x8c\x01a\x85}\x8c\x01a" + objects
+        + b"J\xff\xff\xff\x7f\x86sK\x08K\x01K\x10t",
+        b"(K\x03\x8c\x01|" + objects + b"J\xff\xff\x00\x00\x85\x86NNK\x08K\x01K?t",
         b"(K\x03\x8c\x01|NNNK\x08K\x01K?t", b"(t", b"N", b"(K\x09\x8c\x01?NNNK\x00K\x00K\x00t",
     )  # fmt: skip
     for name in (b"smpl_poses", b"cams", b"v_template"):
@@ -350,19 +353,25 @@ def _programs() -> Iterator[bytes]:
 # --- tensors ------------------------------------------------------------------------------------
 
 
+def _entry(name: str, kind: str, count: int, size: int) -> str:
+    return json.dumps({name: {"dtype": kind, "shape": [count], "data_offsets": [0, size]}})
+
+
 def _safetensors(good: bytes) -> Iterator[bytes]:
     for size in (TERABYTES, 2**64 - 1, 100_000_001, 0, 1):
         yield struct.pack("<Q", size) + good[8:]
     yield struct.pack("<Q", TERABYTES)
     headers = (
-        '{"a":{"dtype":"F32","shape":[%d],"data_offsets":[0,%d]}}' % (TERABYTES, 4 * TERABYTES),
+        _entry("a", "F32", TERABYTES, 4 * TERABYTES),
         '{"a":{"dtype":"F32","shape":[0,9223372036854775807],"data_offsets":[0,0]}}',
         '{"a":{"dtype":"F32","shape":[0,9223372036854775807,9],"data_offsets":[0,0]}}',
         '{"a":{"dtype":"F32","shape":[4294967296,4294967296],"data_offsets":[0,0]}}',
         '{"a":{"dtype":"F32","shape":[-1],"data_offsets":[0,4]}}', "[" * 1000, "{}", "[]", "1",
         *(
-            '{"%s":{"dtype":"%s","shape":[4],"data_offsets":[0,%d]}}' % (name, kind, 4 * size)
-            for name in ("networks", "networks.a", "tensors.a", "tensors", "parents", "names", "frames")
+            _entry(name, kind, 4, 4 * size)
+            for name in (
+                "networks", "networks.a", "tensors.a", "tensors", "parents", "names", "frames"
+            )
             for kind, size in (("F8_E4M3", 1), ("F8_E8M0", 1), ("C64", 8), ("BOOL", 1), ("U16", 2))
         ),
         '{"a":{"dtype":"F4","shape":[8],"data_offsets":[0,4]}}',
@@ -404,7 +413,10 @@ def _pictures(good: bytes) -> Iterator[bytes]:
         2,
         _chunk(b"eXIf", b"MM\0*\0\0\0\x08\xff\xff" + b"\x01\x12\0\3\xff\xff\xff\xff\0\0\0\0" * 9),
     )
-    yield b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 6\n%%EndComments\n(canary) (w) file closefile showpage\n%%EOF\n"
+    yield (
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 6\n%%EndComments\n"
+        b"(canary) (w) file closefile showpage\n%%EOF\n"
+    )
     yield b"P6 60000 60000 255\n" + b"\0" * 100
     yield b"P6 8 6 255\n" + b"\0" * 144
     yield b"GIF89a\xff\xff\xff\xff\0\0\0,\0\0\0\0\xff\xff\xff\xff\0\x02\x02D\x01\0;"
@@ -434,7 +446,10 @@ def _films(good: bytes) -> Iterator[bytes]:
     for name in (*here, b"file:///etc/passwd", b"http://127.0.0.1:9/x.ts"):
         yield b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n" + name + b"\n#EXT-X-ENDLIST\n"
         yield b"ffconcat version 1.0\nfile '" + name + b"'\n"
-        yield b"v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nm=video 9 RTP/AVP 96\na=rtpmap:96 H264/90000\n"
+        yield (
+            b"v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\n"
+            b"m=video 9 RTP/AVP 96\na=rtpmap:96 H264/90000\n"
+        )
     for side in (60_000, 16_000, 0, 1):
         yield b"YUV4MPEG2 W%d H%d F25:1 C420\nFRAME\n" % (side, side) + b"\0" * 100
     yield png(60_000, 60_000)

@@ -1,20 +1,34 @@
 import pytest
 
 from deblur_avatar.errors import ArtifactError
-from tests.fuzz.campaign import campaign
 from tests.fuzz.guarded import Tally, in_child, try_input
-from tests.fuzz.readers import READERS, Reader
-
-SAMPLE = 12  # drawn inputs a reader; `make fuzz` draws 250, and all the recipes
+from tests.fuzz.known_defects import KNOWN, unknown
 
 
-@pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
-def test_hostile_files_are_read_or_refused_with_an_error_of_our_own(reader: Reader):
-    tally = campaign(reader, SAMPLE, 0, fixed=False)
-    assert not tally.failures
-    assert tally.inputs > SAMPLE / 2
-    assert tally.read
-    assert tally.refused
+def test_hostile_files_are_read_or_refused_with_an_error_of_our_own(sample):
+    found = {name: unknown(name, row["failures"]) for name, row in _rows(sample).items()}
+    assert not {name: failures for name, failures in found.items() if failures}
+
+
+def test_every_reader_reads_its_own_file_and_refuses_some_other(sample):
+    for name, row in _rows(sample).items():
+        assert row["read"], name
+        assert row["refused"], name
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param(place, marks=pytest.mark.xfail(strict=True, reason=defect.reason))
+        for place, defect in enumerate(KNOWN)
+    ],
+)
+def test_files_that_once_went_wrong_are_refused(sample, place):
+    assert not sample["defects"][place]
+
+
+def _rows(sample):
+    return {name: row for name, row in sample.items() if name != "defects"}
 
 
 def _crash() -> object:
@@ -46,17 +60,21 @@ def _nothing_finite() -> object:
     ],
 )
 def test_a_reader_that_does_wrong_is_found_out(read, failure):
-    def work() -> Tally:
+    def work(_: object) -> Tally:
         tally = Tally("it")
         try_input(read, tally, [])
         return tally
 
-    failures = in_child(work, "it", 30.0).failures
-    assert failure in " ".join(failures.values())
+    tally = in_child(work, Tally("it"), 30.0)
+    assert tally.finished
+    assert failure in " ".join([*tally.failures, *tally.failures.values()])
 
 
-def test_a_reader_that_ends_the_process_is_found_out():
-    def work() -> Tally:
+def test_a_reader_that_ends_the_process_is_found_out_and_what_was_known_stays():
+    def work(tell) -> Tally:
+        tell(Tally("it", inputs=3))
         __import__("os")._exit(7)
 
-    assert in_child(work, "it", 30.0).failures == {"child": "the process died with exit code 7"}
+    tally = in_child(work, Tally("it"), 30.0)
+    assert not tally.finished
+    assert tally.failures == {"input 3": "the process ended with exit code 7"}
