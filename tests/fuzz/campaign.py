@@ -46,6 +46,7 @@ def campaign(
             if kept is not None:
                 shutil.copy(kept / "last", kept / _name(reader, f"input {tally.inputs}", "last"))
             tally.inputs += 1
+    tally.reader = reader.name
     return tally
 
 
