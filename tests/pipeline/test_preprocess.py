@@ -125,7 +125,9 @@ def test_what_a_clip_does_not_know_is_not_made(clip: BlurryClip, body: Body, tmp
     made = run(blurred_only, body)
     assert (made.sharp, made.exact) == (None, None)
     made.save(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["blurred"]
+    # Empty folders: DVC wants each of its outputs.
+    assert {path.name for path in tmp_path.iterdir()} == {"blurred", "sharp", "exact"}
+    assert not any([*(tmp_path / "sharp").iterdir(), *(tmp_path / "exact").iterdir()])
 
 
 def test_large_frames_are_cropped_to_the_person_and_every_camera_with_them(
