@@ -90,7 +90,7 @@ def _minus(value: float | None, other: float | None) -> float | None:
     return None if value is None or other is None else value - other
 
 
-def _ratio(value: float | None, other: float | None) -> float | None:
+def _ratio(value: int | float | None, other: int | float | None) -> float | None:
     return None if value is None or not other else value / other
 
 

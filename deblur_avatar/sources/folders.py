@@ -17,7 +17,7 @@ def footage_folder(root: str, remedy: str) -> Path:
     Raises:
         ConfigError: if there is no such folder, or its variable is not set; says what to set.
     """
-    variable = re.search(r"\$\{(\w+)", root)
+    variable = re.search(r"\$[{(](\w+)", root)
     setting = f"set {variable[1]}" if variable else "set clip.root in params.yaml"
     try:
         folder = Path(expand_environment(root, "clip.root"))

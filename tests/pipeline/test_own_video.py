@@ -72,7 +72,7 @@ def test_one_name_is_one_video(root: Path, video: Path):
     ("changes", "message"),
     [
         ({"method": "magic"}, "no method 'magic', there is"),
-        ({"schedule": "eternal"}, "no schedule 'eternal', there is quick, full"),
+        ({"schedule": "eternal"}, "no schedule 'eternal', there is quick, brief, full"),
         ({"name": "../up"}, "a name is small letters"),
         ({"name": "2nd"}, "a name is small letters"),
     ],
