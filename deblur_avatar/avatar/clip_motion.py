@@ -38,6 +38,7 @@ class ClipMotion(Trajectory):
     middles: Tensor
     guess: Tensor
     taken: Tensor
+    halfway: Tensor | None
     first_axis_angle: Tensor
     first_transl: Tensor
 
@@ -62,6 +63,7 @@ class ClipMotion(Trajectory):
         self.axis_angle = nn.Parameter(axis_angle)
         self.transl = nn.Parameter(transl)
         self.log_shutter = nn.Parameter(guess.new_zeros(()), requires_grad=estimate_shutter)
+        self.register_buffer("halfway", guess.new_zeros(()) if estimate_shutter else None)
 
     @classmethod
     def near(
@@ -95,7 +97,7 @@ class ClipMotion(Trajectory):
         names = ("middles", "guess", "axis_angle", "transl")
         # Clones: fitting works in place, and an artifact never changes.
         motion = cls(u, *(parameters[name].clone() for name in names), estimate_shutter=False)
-        motion.load_state_dict(parameters)
+        motion.load_state_dict({name: parameters[name] for name in motion.state_dict()})
         return motion
 
     @property
@@ -131,6 +133,11 @@ class ClipMotion(Trajectory):
             return None
         spacing = (timestamps[-1] - timestamps[0]) / (self.middles[-1] - self.middles[0])
         return float(self.shutter.detach() * spacing)
+
+    def mark_halfway(self) -> None:
+        """Remember an estimated shutter as it is now, to tell later how far it has moved since."""
+        if self.halfway is not None:
+            self.halfway.copy_(self.log_shutter.detach())
 
     def take(self, counts: Int64[Tensor, " F"]) -> None:
         """Choose how many instants fitting takes of each exposure from now on."""

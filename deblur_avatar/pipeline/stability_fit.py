@@ -19,11 +19,12 @@ NEEDLE = 1e-12  # metres
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit leaves, how long the shutter was open (where that was estimated), and the time."""
+    """What a fit leaves, how long the shutter was open (where that was estimated), and its time."""
 
     avatar: Avatar
     motion: Motion
     shutter: float | None  # seconds; `fusion` takes it as settled and tells it no more
+    shutter_std: float | None  # seconds
     seconds: float
 
 
@@ -60,16 +61,16 @@ def fit_method(
     )
     if needles > 0:
         avatar = _with_needles(avatar, needles)
-    avatar, motion, checkpoint, _ = fit_trajectory(
+    avatar, motion, checkpoint, cost = fit_trajectory(
         observations, avatar, checkpoint, start, method.trajectory, schedule,
         device=device, generator=generator, report=_silence,
     )  # fmt: skip
-    shutter = motion.shutter
+    shutter, std = motion.shutter, cost.get("shutter_std_s")
     avatar, motion, _ = fuse(
         observations, avatar, motion, checkpoint, start, method.fusion, schedule,
         device=device, generator=generator, report=_silence,
     )  # fmt: skip
-    return Fitted(avatar, motion, shutter, time.perf_counter() - begin)
+    return Fitted(avatar, motion, shutter, std, time.perf_counter() - begin)
 
 
 def lengthened(schedule: ScheduleParams, times: float) -> ScheduleParams:

@@ -73,6 +73,7 @@ def measure(
         "stretch": _stretch(observations, reference, avatar, device),
         "knots": len(motion.parameters["axis_angle"]) if motion.kind == "clip" else None,
         "shutter_s": fitted.shutter,
+        "shutter_std_s": fitted.shutter_std,
         "given_exposure_s": observations.exposure,
         "hidden": observations.hidden,
         "finite": math.isfinite(content["image"]["psnr"]),

@@ -248,7 +248,13 @@ def _wrong_shutter(case: Case) -> list[Check]:
     true = _ratio(case.row.get("given_exposure_s"), case.severity.damage["shutter_times"])
     share = _ratio(case.row.get("shutter_s"), true)
     kept = _drop(case, 0.5)
-    return [_came_out(case), kept, Check("estimated shutter over the true one", share, 0.85, 1.15)]
+    told = _ratio(case.row.get("shutter_std_s"), case.row.get("shutter_s"))
+    return [
+        _came_out(case),
+        kept,
+        Check("estimated shutter over the true one", share, 0.85, 1.15),
+        Check("its standard deviation, as it says itself, over it", told),
+    ]
 
 
 def _reversal(case: Case) -> list[Check]:

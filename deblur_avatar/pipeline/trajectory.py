@@ -1,5 +1,6 @@
 """The second stage of fitting: motion inside each exposure joins the unknowns."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -14,6 +15,7 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
 from deblur_avatar.fitting.knot_spacing import choose_spacing
 from deblur_avatar.fitting.run_folder import RunFolder
+from deblur_avatar.fitting.shutter_certainty import settle_shutter
 from deblur_avatar.fitting.virtual_poses import choose_counts
 
 
@@ -33,19 +35,30 @@ def fit_trajectory(
     """Fit renders averaged over the exposure (or sharp ones, by `params`) to the frames.
 
     Returns:
-        The avatar, its motion, its optimisers' memory, and what it cost.
+        The avatar, its motion, its optimisers' memory, and what it cost; with the shutter where
+        that is estimated.
     """
     model = AvatarModel.from_artifact(avatar, observations.body, device)
     trajectory = new_trajectory(observations, params, generator).to(device)
     choose_counts(trajectory, observations, params)
     fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator)
     fit.restore(checkpoint)
+    half = (schedule.warmup + schedule.trajectory) // 2
+
+    def watch(iteration: int, terms: Mapping[str, float]) -> None:
+        if iteration == half and isinstance(trajectory, ClipMotion):
+            trajectory.mark_halfway()
+        report(iteration, terms)
+
     seconds = fit.run(
-        schedule.warmup + 1, schedule.trajectory, params.supervision, params.mask, report, folder
+        schedule.warmup + 1, schedule.trajectory, params.supervision, params.mask, watch, folder
     )
+    shutter: dict[str, Any] = {}
+    if isinstance(trajectory, ClipMotion) and trajectory.halfway is not None:
+        shutter = settle_shutter(model, trajectory, observations)
     choose_counts(trajectory, observations, params)
     motion = trajectory.to_artifact(model.betas, observations.timestamps)
-    cost = fit.cost(seconds)
+    cost = fit.cost(seconds) | shutter
     last = schedule.trajectory
     return model.to_artifact(last), motion, fit.checkpoint(last), cost
 

@@ -111,6 +111,20 @@ def test_the_shutter_is_an_unknown_only_where_it_is_estimated():
         assert found == (pytest.approx(3 / 60, rel=1e-4) if estimated else None)
 
 
+def test_how_far_an_estimated_shutter_was_is_remembered_until_it_is_settled():
+    poses, times = circling(12), torch.arange(12) / 60
+    motion = ClipMotion.near(
+        poses, instants(5, "midpoints"), times, 2 / 60, 2 / 60, 0.0, estimate_shutter=True
+    )
+    with torch.no_grad():
+        motion.log_shutter.fill_(0.3)
+    motion.mark_halfway()
+    assert float(motion.state_dict()["halfway"]) == pytest.approx(0.3)
+    settled = trajectory_from_artifact(motion.to_artifact(poses.betas, times))
+    assert "halfway" not in settled.state_dict()
+    torch.testing.assert_close(settled(7).transl, motion(7).transl)
+
+
 def test_a_longer_shutter_sees_more_of_the_motion_and_is_bounded():
     motion = clip_motion(circling(40), exposure=1 / 60)
 

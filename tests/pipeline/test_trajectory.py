@@ -115,6 +115,17 @@ def test_new_trajectories_start_from_the_given_poses(observations, method):
         torch.testing.assert_close(trajectory(1).centre_rotations, expected, atol=1e-3, rtol=0)
 
 
+def test_an_estimated_shutter_comes_with_its_uncertainty(go_on, method, observations):
+    _, motion, _, cost = go_on(method("lean", shutter="estimated", pixels_per_pose=0.0))
+    assert motion.shutter == cost["shutter_s"]
+    assert 0 < cost["shutter_std_s"] < cost["shutter_s"]
+    assert cost["shutter_from"] in ("frames", "guess")
+    assert float(motion.parameters["halfway"]) != 0
+    _, motion, _, cost = go_on(method("lean"))
+    assert motion.shutter is None
+    assert not any(name.startswith("shutter") for name in cost)
+
+
 def test_one_blurred_frame_has_no_trajectory(make_observations, method):
     single = make_observations(frames=2)
     index = slice(0, 1)
