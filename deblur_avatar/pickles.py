@@ -14,6 +14,7 @@ import pickletools
 import re
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -38,6 +39,17 @@ class Record:
 
     def __setstate__(self, state: object) -> None:
         self.state = dict(state) if isinstance(state, dict) else {}
+
+
+class Refused(Exception):  # noqa: N818
+    """A class or function outside the list was named, or one of the list with other arguments.
+
+    Of those only words and numbers are shown: the text of containers may be longer than memory.
+    """
+
+    def __init__(self, what: str, *came: object) -> None:
+        shown = [f"{c!r:.60}" if isinstance(c, str | int) else type(c).__name__ for c in came]
+        super().__init__(" ".join([what, *shown]))
 
 
 def load_arrays(path: Path) -> dict[str, Any]:
@@ -81,7 +93,7 @@ def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
         raise
     except OSError as error:
         raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
-    except _Refused as error:
+    except Refused as error:
         raise ArtifactError(
             f"{path} wants to run {error}, which no data file needs; nothing was executed. "
             "Take the file from its publisher, or save it again as .npz"
@@ -93,51 +105,86 @@ def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
         ) from None
 
 
-def _unpickled(file: BinaryIO) -> Any:
-    begin = file.tell()
-    stack: list[int | None] = []
-    memo: dict[int, int] = {}
+def check_structure(file: BinaryIO) -> None:
+    """Walk over a pickle without making anything of it; the file is left after it.
+
+    Python would hash a tuple in a tuple in a tuple until its own stack ends, and the process with
+    it, or, where each is in the next one twice, until the end of days.
+
+    Raises:
+        ValueError: if objects are nested over `MOST_DEPTH` levels deep or numbered far apart, or if
+            the keys among them unfold to over `MOST_OBJECTS` objects.
+    """
+    stack: list[_Outline | None] = []
+    memo: dict[int, _Outline] = {}
+    hashed = 0
     for count, (operation, argument, _) in enumerate(pickletools.genops(file)):
-        _follow(operation, argument, stack, memo)
+        hashed += _follow(operation, argument, stack, memo)
+        if hashed > MOST_OBJECTS:
+            raise ValueError(f"its keys unfold to over {MOST_OBJECTS} objects")
         # Python's memo is a list: one far index would allocate everything before it.
         if operation.name in ("PUT", "BINPUT", "LONG_BINPUT") and int(argument or 0) > count + 1:
             raise ValueError(f"an object is numbered {argument} among {count}")
+
+
+def _unpickled(file: BinaryIO) -> Any:
+    begin = file.tell()
+    check_structure(file)
     file.seek(begin)
     return _RestrictedUnpickler(file, encoding="latin1").load()
 
 
-def _follow(
-    operation: pickletools.OpcodeInfo, argument: Any, stack: list[int | None], memo: dict[int, int]
-) -> None:
-    """Keep on the stack how deep every object is nested; None is a mark.
+@dataclass(slots=True)
+class _Outline:
+    """What is known of an object that was not made: how deep it is, and how much it unfolds to."""
 
-    Python hashes a tuple in a tuple in a tuple until its own stack ends, and the process with it.
+    depth: int = 0
+    count: int = 1
+
+
+def _follow(
+    operation: pickletools.OpcodeInfo,
+    argument: Any,
+    stack: list[_Outline | None],
+    memo: dict[int, _Outline],
+) -> int:
+    """Do to outlines what the operation does to objects; None on the stack is a mark.
+
+    Returns:
+        How many objects are hashed on the way.
     """
     name, before = operation.name, operation.stack_before
     if name == "MARK":
         stack.append(None)
-        return
+        return 0
     if "PUT" in name or name == "MEMOIZE":
-        memo[len(memo) if name == "MEMOIZE" else int(argument)] = stack[-1] or 0
-        return
+        memo[len(memo) if name == "MEMOIZE" else int(argument)] = stack[-1] or _Outline()
+        return 0
     if name.endswith("GET"):
-        stack.append(memo.get(int(argument), 0))
-        return
-    taken = []
+        stack.append(memo.get(int(argument)) or _Outline())
+        return 0
+    inside = []
     if pickletools.markobject in before:
-        while (depth := stack.pop()) is not None:
-            taken.append(depth)
+        while (outline := stack.pop()) is not None:
+            inside.append(outline)
         below = before.index(pickletools.markobject)
     else:
         below = len(before)
-    taken += [stack.pop() or 0 for _ in range(below)]
-    inside, itself = taken, 0
-    if name in ("APPEND", "APPENDS", "SETITEM", "SETITEMS", "ADDITEMS", "BUILD"):
-        inside, itself = taken[:-1], taken[-1]  # what comes into a container, and that
-    depth = max(itself, 1 + max(inside, default=-1))
-    if depth > MOST_DEPTH:
+    inside += [stack.pop() or _Outline() for _ in range(below)]
+    # What comes into a container, and that; everything else is made anew.
+    itself = inside.pop() if name in _CHANGES else _Outline()
+    itself.depth = max(itself.depth, 1 + max((part.depth for part in inside), default=-1))
+    itself.count += sum(part.count for part in inside)
+    if itself.depth > MOST_DEPTH:
         raise ValueError(f"objects are nested over {MOST_DEPTH} levels deep")
-    stack += [depth] * len(operation.stack_after)
+    stack += [itself] * len(operation.stack_after)
+    keys = inside[1::2] if name in _PAIRS else inside if name in _HASHES else ()
+    return sum(key.count for key in keys)
+
+
+_PAIRS = ("SETITEM", "SETITEMS", "DICT")  # values come off the stack before their keys
+_HASHES = ("ADDITEMS", "FROZENSET", "REDUCE", "NEWOBJ", "NEWOBJ_EX", "OBJ", "INST")
+_CHANGES = ("APPEND", "APPENDS", "SETITEM", "SETITEMS", "ADDITEMS", "BUILD")
 
 
 def _npy_content(file: BinaryIO) -> Any:
@@ -194,10 +241,6 @@ def _unfolded(value: Any, known: dict[int, int | None], depth: int) -> int:
     return count
 
 
-class _Refused(Exception):  # noqa: N818
-    """A class or function outside the list was named."""
-
-
 class _RestrictedUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _ADMITTED:
@@ -205,10 +248,10 @@ class _RestrictedUnpickler(pickle.Unpickler):
         root = module.split(".")[0]
         if root == "chumpy" or (module.startswith("scipy.sparse") and name in _SPARSE):
             return _record_class(f"{root}.{name}")
-        raise _Refused(f"{module}.{name}")
+        raise Refused(f"{module}.{name}")
 
     def persistent_load(self, key: object) -> Any:
-        raise _Refused(f"a persistent object {key!r}")
+        raise Refused("a persistent object", key)
 
 
 @lru_cache(maxsize=100)  # a class takes 1 kB, its name in a file a few bytes
@@ -221,7 +264,7 @@ class _Kind:
 
     def __init__(self, code: str, *flags: object) -> None:
         if not isinstance(code, str) or not re.fullmatch("[<>=|]?[biufcSUOVMm?][0-9]{0,9}", code):
-            raise _Refused(f"a dtype {code!r:.60}")
+            raise Refused("a dtype", code)
         self.dtype = np.dtype(code)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -254,7 +297,7 @@ def _array_of_buffer(
 def _no_bytes(*content: object) -> bytes:
     """How Python 3 writes empty bytes in the old protocols; of a number, bytes() makes as many."""
     if content:
-        raise _Refused(f"bytes of {content[0]!r}")
+        raise Refused("bytes of", content[0])
     return b""
 
 
@@ -271,14 +314,14 @@ def _scalar(kind: _Kind, content: bytes | str) -> Any:
 def _reconstruct(kind: type, base: type, state: object) -> Record:
     """What Python 2 wrote for an instance; only records may be made so."""
     if not (isinstance(kind, type) and issubclass(kind, Record)):
-        raise _Refused(f"the constructor of {kind!r}")
+        raise Refused("the constructor of", kind)
     return kind()
 
 
 def _encode(text: str, encoding: str = "latin1") -> bytes:
     """How Python 3 writes bytes in the old protocols."""
     if encoding not in ("latin1", "latin-1"):
-        raise _Refused(f"an encoding {encoding!r}")
+        raise Refused("an encoding", encoding)
     return text.encode("latin1")
 
 

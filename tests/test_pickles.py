@@ -200,6 +200,41 @@ def test_a_far_index_of_the_memo_is_refused_before_it_allocates(tmp_path, text, 
         load_arrays(path)
 
 
+def _get(index):
+    return b"h" + bytes([index])
+
+
+# Forty containers, each in the next one three times: 500 bytes that stand for 10^19 objects.
+_LISTS = b"](K\x01K\x01e\x94" + b"".join(b"](" + 3 * _get(i) + b"e\x94" for i in range(40))
+_TUPLES = b"K\x01\x94" + b"".join(3 * _get(i) + b"\x87\x94" for i in range(40))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (_TUPLES + b"}" + _get(40) + b"K\x01s.", "its keys unfold to over 10000000 objects"),
+        (_TUPLES + b"}(" + _get(40) + b"K\x01u.", "its keys unfold to over"),
+        (_TUPLES + b"(" + _get(40) + b"K\x01d.", "its keys unfold to over"),
+        (_TUPLES + b"\x8f(" + _get(40) + b"\x90.", "its keys unfold to over"),
+        (_TUPLES + b"(" + _get(40) + b"\x91.", "its keys unfold to over"),
+        (b"](" + _TUPLES + b"ecbuiltins\nset\n" + _get(40) + b"\x85R.", "its keys unfold to over"),
+        (_LISTS + b"Q.", "wants to run a persistent object list"),
+        (_LISTS + b"0cbuiltins\nbytes\n]\x85R.", "wants to run bytes of list"),
+    ],
+)
+def test_few_bytes_that_unfold_without_end_are_refused_at_once(tmp_path, text, message):
+    path = tmp_path / "file.pkl"
+    path.write_bytes(b"\x80\x04" + text)
+    with pytest.raises(ArtifactError, match=message):
+        load_arrays(path)
+
+
+def test_a_container_that_is_in_others_often_is_no_key_and_may_be(tmp_path):
+    shared = list(range(1000))
+    content = {"a": [shared] * 1000, "b": {(1, 2): [shared] * 1000}}
+    assert load_arrays(_write(tmp_path / "file.pkl", content))["b"][1, 2][999] == shared
+
+
 def test_a_sparse_matrix_that_unfolds_to_too_much_is_refused(tmp_path):
     path = _write(tmp_path / "file.pkl", {"regressor": sparse.csc_matrix((2**40, 3))})
     assert path.stat().st_size < 1000

@@ -12,6 +12,7 @@ Source: Zhang et al., "The unreasonable effectiveness of deep features as a perc
 
 import logging
 import os
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 
@@ -19,7 +20,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deblur_avatar.errors import ConfigError
+from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.imaging.weights_files import load_pth
 
 logger = logging.getLogger(__name__)
 
@@ -102,16 +104,14 @@ def load_lpips(weights: Path, heads: Path) -> Lpips:
         ConfigError: naming the file and what it should hold.
     """
     model = Lpips()
-    trunk = {
-        name.removeprefix("features."): value
-        for name, value in _read(weights, WEIGHTS_VARIABLE).items()
-        if name.startswith("features.")
-    }
-    linear = _read(heads, HEADS_VARIABLE)
+    layers = {name: f"features.{name}" for name in model.features.state_dict()}
+    names = [f"lin{index}.model.1.weight" for index in range(len(model.heads))]
+    trunk = _read(weights, WEIGHTS_VARIABLE, layers.values())
+    linear = _read(heads, HEADS_VARIABLE, names)
     try:
-        model.features.load_state_dict({name: trunk[name] for name in model.features.state_dict()})
-        for index, head in enumerate(model.heads):
-            head.copy_(linear[f"lin{index}.model.1.weight"].reshape(head.shape))
+        model.features.load_state_dict({name: trunk[full] for name, full in layers.items()})
+        for name, head in zip(names, model.heads, strict=True):
+            head.copy_(linear[name].reshape(head.shape))
     except (KeyError, RuntimeError) as error:
         raise ConfigError(
             f"{weights} and {heads} must hold torchvision's VGG16 and the LPIPS 0.1 heads for it: "
@@ -132,17 +132,11 @@ def _vgg16_features() -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def _read(path: Path, variable: str) -> dict[str, Tensor]:
+def _read(path: Path, variable: str, names: Collection[str]) -> dict[str, Tensor]:
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        # Damaged weights can raise nearly anything from inside torch.
-        raise ConfigError(f"{variable}={path} cannot be read: {error!r}") from error
-    if not isinstance(content, dict) or not all(
-        isinstance(name, str) and isinstance(value, Tensor) for name, value in content.items()
-    ):
-        raise ConfigError(f"{variable}={path} holds {type(content).__name__}, not weights by name")
-    return content
+        return load_pth(path, names)
+    except ArtifactError as error:
+        raise ConfigError(f"{variable}: {error}") from None
 
 
 @cache

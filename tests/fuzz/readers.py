@@ -125,6 +125,13 @@ def _moments(folder: Path) -> object:
     return moments_of({stage: folder / stage for stage in STAGES}, folder, _RUN)
 
 
+def _write_snapshots(folder: Path) -> None:
+    """What a run that was stopped has kept, less what is no number."""
+    for iteration in (3, 6):
+        (folder / f"snapshots/{iteration:06d}").mkdir(parents=True)
+        run.write_json(folder / f"snapshot_{iteration:06d}.json", {"seconds": 0.5})
+
+
 def _write_views(folder: Path) -> None:
     for name in ("render.png", "truth.png", "input.png"):
         Image.fromarray(picture(3)).save(folder / name)
@@ -468,13 +475,13 @@ def _write_zju_poses(folder: Path) -> None:
 _TINY_VGG = mock.patch.object(lpips, "STAGES", ((2,),) * 5)
 
 
-def _write_weights(folder: Path) -> None:
+def _write_weights(folder: Path, zipped: bool = True) -> None:
     with _TINY_VGG:
         model = lpips.Lpips()
     trunk = {f"features.{name}": value for name, value in model.features.state_dict().items()}
-    torch.save(trunk, folder / "vgg.pth")
+    torch.save(trunk, folder / "vgg.pth", _use_new_zipfile_serialization=zipped)
     heads = {f"lin{i}.model.1.weight": torch.ones(1, 2, 1, 1) for i in range(5)}
-    torch.save(heads, folder / "heads.pth")
+    torch.save(heads, folder / "heads.pth", _use_new_zipfile_serialization=zipped)
 
 
 def _weights(folder: Path) -> object:
@@ -489,6 +496,7 @@ READERS: tuple[Reader, ...] = (
     Reader("metrics", _write_metrics, read_results),
     Reader("costs", _write_costs, lambda f: read_costs(f, _RUN)),
     Reader("moments", _write_moments, _moments),
+    Reader("kept snapshots", _write_snapshots, lambda f: run_folder.taken_snapshots(f, (3, 6, 9))),
     Reader("views", _write_views, lambda f: strips_of_scene({"m": f}, 2)),
     *(
         Reader(
@@ -522,4 +530,5 @@ READERS: tuple[Reader, ...] = (
     Reader("ZJU-MoCap", _write_annotations, _sequence),
     Reader("ZJU-MoCap poses", _write_zju_poses, lambda f: zju_poses.read_poses(f, [0, 1], BODY)),
     Reader("LPIPS weights", _write_weights, _weights),
+    Reader("older LPIPS weights", lambda f: _write_weights(f, zipped=False), _weights),
 )

@@ -29,7 +29,8 @@ def recipes(suffix: str, good: bytes) -> Iterator[bytes]:
         yield from _programs()
     yield from {
         ".json": _json, ".yaml": _yaml, ".txt": _xml, ".toml": _toml, ".bvh": _bvh, ".npz": _npz,
-        ".npy": _npy, ".safetensors": _safetensors, ".mp4": _films, ".mkv": _films, ".pth": _npz,
+        ".npy": _npy, ".safetensors": _safetensors, ".mp4": _films, ".mkv": _films,
+        ".pth": _weights,
     }.get(suffix, _pictures if suffix in PICTURES else _nothing)(good)  # fmt: skip
 
 
@@ -291,6 +292,14 @@ def _programs() -> Iterator[bytes]:
     yield b"\x80\x04}" + b")" + b"\x85" * 1_000_000 + b"K\x01s."
     yield b"\x80\x04}(" + b")" + b"\x85" * 100_000 + b"K\x01u."
     yield b"\x80\x04" + b"]" * 100_000 + b"a" * 99_999 + b"."
+    # Each in the next one three times: to hash or to print the last one takes for ever.
+    tuples = b"K\x01\x94" + b"".join(b"h%c" % i * 3 + b"\x87\x94" for i in range(40))
+    lists = b"]\x94" + b"".join(b"](" + b"h%c" % i * 3 + b"e\x94" for i in range(40))
+    yield b"\x80\x04" + tuples + b"}h\x28K\x01s."
+    yield b"\x80\x04" + tuples + b"(h\x28\x91."
+    yield b"\x80\x04" + lists + b"Q."
+    for call in (b"cbuiltins\nbytes\n", b"cnumpy\ndtype\n", b"ctorch._utils\n_rebuild_tensor_v2\n"):
+        yield b"\x80\x04" + lists + call + b"h\x28\x85R."
     yield _key(b"cams", b")" + b"\x85" * 5000)
     laughs = b"](K\x01K\x01e\x94" + b"".join(
         b"](" + b"h" + bytes([i]) * 1 + (b"h" + bytes([i])) * 9 + b"e\x94" for i in range(40)
@@ -348,6 +357,19 @@ def _programs() -> Iterator[bytes]:
         + b"\x85R."
     )
     yield b"\x80\x02cbuiltins\nfrozenset\n" + b")" + b"\x85" * 50_000 + b"\x85R."
+
+
+def _weights(good: bytes) -> Iterator[bytes]:
+    """Programs in place of what names the tensors, in both forms of torch's files."""
+    if not good.startswith(b"PK"):
+        begin = good.index(b"\x80\x02", good.index(b"little_endian"))
+        yield from (good[:begin] + program + good[begin:] for program in _programs())
+        return
+    yield from _npz(good)
+    with zipfile.ZipFile(io.BytesIO(good)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = next(name for name in members if name.endswith("data.pkl"))
+    yield from (_zip({**members, name: program}) for program in _programs())
 
 
 # --- tensors ------------------------------------------------------------------------------------

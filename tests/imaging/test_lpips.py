@@ -137,12 +137,14 @@ def test_a_picture_too_small_for_the_trunk_is_not_measured(files, monkeypatch):
 
 
 def test_wrong_files_are_refused(files, tmp_path):
-    with pytest.raises(ConfigError, match=r"WEIGHTS=.*missing.pth cannot be read"):
+    with pytest.raises(ConfigError, match=r"WEIGHTS: cannot read .*missing\.pth: No such file"):
         load_lpips(tmp_path / "missing.pth", files[1])
     with pytest.raises(ConfigError, match=r"must hold torchvision's VGG16 and the LPIPS 0.1 heads"):
         load_lpips(files[1], files[1])
     torch.save([1, 2], tmp_path / "list.pth")
-    with pytest.raises(ConfigError, match=r"HEADS=.*list.pth holds list, not weights"):
+    with pytest.raises(
+        ConfigError, match=r"HEADS: .*list\.pth is not .*: .*holds list, not weights"
+    ):
         load_lpips(files[0], tmp_path / "list.pth")
 
 
