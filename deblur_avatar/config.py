@@ -452,7 +452,7 @@ def load_params(path: Path, key: str, kind: Any) -> Any:
     Raises:
         ConfigError: naming the file, the key, what was wanted and what came.
     """
-    return _section(read_params(path), path, key, kind)
+    return section_of(read_params(path), path, key, kind)
 
 
 def read_params(path: Path) -> Any:
@@ -481,7 +481,12 @@ def _with_shared(path: Path, above: int) -> Any:
     return {**below, **{key: value for key, value in content.items() if key != "shared"}}
 
 
-def _section(content: Any, path: Path, key: str, kind: Any) -> Any:
+def section_of(content: Any, path: Path, key: str, kind: Any) -> Any:
+    """Check one section of what a parameter file holds; `path` is named in what is refused.
+
+    Raises:
+        ConfigError: naming the key, what was wanted and what came.
+    """
     value = content
     for depth, name in enumerate(key.split(".")):
         if not isinstance(value, dict) or name not in value:
@@ -510,13 +515,13 @@ def check_parameters(path: Path) -> None:
         "runs": RunParams,
         "animations": AnimationParams,
     }
-    _section(content, path, "seed", int)
-    _section(content, path, "snapshots", int)
-    _section(content, path, "check", CheckParams)
+    section_of(content, path, "seed", int)
+    section_of(content, path, "snapshots", int)
+    section_of(content, path, "check", CheckParams)
     for section, kind in sections.items():
-        for name in _section(content, path, section, dict):
-            _section(content, path, f"{section}.{name}", kind)
-    _section(content, path, f"schedules.{_section(content, path, 'schedule', str)}", dict)
+        for name in section_of(content, path, section, dict):
+            section_of(content, path, f"{section}.{name}", kind)
+    section_of(content, path, f"schedules.{section_of(content, path, 'schedule', str)}", dict)
     for name in content["predeblur"].keys() - content["scenes"].keys():
         raise ConfigError(f"{path}: predeblur.{name}: there is no scene {name!r}")
     named = {"scene": "scenes", "start": "starts", "method": "methods"}

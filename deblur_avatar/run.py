@@ -29,6 +29,7 @@ T = TypeVar("T")
 
 MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
 KEPT_BYTES = 1 << 30
+LARGEST = 2**63 - 1  # of whole numbers
 
 logger = logging.getLogger(__name__)
 
@@ -147,10 +148,10 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read numbers that another stage wrote.
 
     Raises:
-        ArtifactError: if the file is missing or damaged.
+        ArtifactError: if the file is missing or damaged, or holds numbers that no tensor can.
     """
     try:
-        content = json.loads(Path(path).read_text())
+        content = json.loads(Path(path).read_text(), parse_int=_whole)
         json.dumps(content, allow_nan=False)  # JSON has no NaN; Python reads it
     except (OSError, ValueError, RecursionError) as error:
         raise ArtifactError(f"cannot read {path}: {error}; run `dvc repro`") from None
@@ -175,6 +176,14 @@ def write_text(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             scratch.unlink(missing_ok=True)
         raise ArtifactError(f"cannot write {path}: {error}") from error
+
+
+def _whole(digits: str) -> int:
+    """A whole number; beyond 64 bits few things are that numbers are asked to be."""
+    value = int(digits)
+    if not -LARGEST <= value <= LARGEST:
+        raise ValueError(f"{digits:.20}... is no number that a stage writes")
+    return value
 
 
 def _rounded(value: Any) -> Any:

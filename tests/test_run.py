@@ -170,6 +170,8 @@ def test_peak_memory_is_the_systems_own_figure_in_megabytes():
         ("[" * 100_000, "recursion"),
         ('{"seconds": NaN}', "not JSON compliant"),
         ('{"seconds": 1e999}', "not JSON compliant"),
+        ('{"seconds": 1' + "0" * 400 + "}", "no number that a stage writes"),
+        ('{"frame": -9223372036854775808}', "no number that a stage writes"),
     ],
 )
 def test_numbers_of_another_stage_that_are_none_are_refused(tmp_path, text, message):

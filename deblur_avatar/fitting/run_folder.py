@@ -8,9 +8,9 @@ parameters or inputs is thrown away. The folder is gone once the stage is done.
 
 import fcntl
 import hashlib
-import json
 import logging
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator
@@ -25,6 +25,7 @@ from torch import Tensor
 from deblur_avatar.artifacts import Avatar, Motion
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE
+from deblur_avatar.run import read_json, write_json
 from deblur_avatar.storage import Artifact
 
 logger = logging.getLogger(__name__)
@@ -92,20 +93,21 @@ class RunFolder:
 
     def keep(self, iteration: int, seconds: float, snapshot: Snapshot) -> None:
         """Keep a snapshot and when in training it was taken."""
-        snapshot.save(self._path / "snapshots" / f"{iteration:06d}")
-        (self._path / f"snapshot_{iteration:06d}.json").write_text(json.dumps(seconds))
+        snapshot.save(_snapshot(self._path, iteration))
+        write_json(self._path / f"snapshot_{iteration:06d}.json", {"seconds": seconds})
 
     def finish(self, out: Path) -> list[dict[str, int | float]]:
         """Hand the snapshots to `out` and throw the rest away.
 
         Returns:
             `iteration` and `seconds` of training of each snapshot, in order.
+
+        Raises:
+            ArtifactError: if one of them is damaged.
         """
-        taken: list[dict[str, int | float]] = []
-        for iteration in sorted(self._wanted):
-            times = self._path / f"snapshot_{iteration:06d}.json"
-            if times.exists():
-                taken.append({"iteration": iteration, "seconds": json.loads(times.read_text())})
+        taken = taken_snapshots(self._path, self._wanted)
+        for iteration in self._kept():  # who is stopped from here on begins anew
+            shutil.rmtree(self._place(iteration), ignore_errors=True)
         if taken:
             shutil.rmtree(out / "snapshots", ignore_errors=True)
             shutil.move(self._path / "snapshots", out / "snapshots")
@@ -128,12 +130,35 @@ class RunFolder:
         return None
 
     def _kept(self) -> list[int]:
-        return sorted(
-            int(path.name.removeprefix("after_")) for path in self._path.glob("after_[0-9]*")
-        )
+        names = (re.fullmatch(r"after_([0-9]+)", path.name) for path in self._path.iterdir())
+        return sorted(int(name[1]) for name in names if name)
 
     def _place(self, iteration: int) -> Path:
         return self._path / f"after_{iteration:06d}"
+
+
+def taken_snapshots(folder: Path, wanted: Iterable[int]) -> list[dict[str, int | float]]:
+    """Which of the wanted snapshots a run has kept, and after how many seconds, in order.
+
+    Raises:
+        ArtifactError: if what was kept is damaged.
+    """
+    taken: list[dict[str, int | float]] = []
+    for iteration in sorted(wanted):
+        path = folder / f"snapshot_{iteration:06d}.json"
+        if path.exists():
+            try:
+                seconds = read_json(path).get("seconds")
+            except ArtifactError:
+                seconds = None
+            if not isinstance(seconds, int | float) or not _snapshot(folder, iteration).is_dir():
+                raise ArtifactError(f"{path} is damaged; delete {folder}, then run the stage again")
+            taken.append({"iteration": iteration, "seconds": seconds})
+    return taken
+
+
+def _snapshot(folder: Path, iteration: int) -> Path:
+    return folder / "snapshots" / f"{iteration:06d}"
 
 
 @contextmanager

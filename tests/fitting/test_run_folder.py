@@ -10,7 +10,13 @@ import torch
 from deblur_avatar.avatar.motion import FrameMotion
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.fitting import run_folder as module
-from deblur_avatar.fitting.run_folder import Progress, Snapshot, run_folder, run_key
+from deblur_avatar.fitting.run_folder import (
+    Progress,
+    Snapshot,
+    run_folder,
+    run_key,
+    taken_snapshots,
+)
 
 NONE: frozenset[int] = frozenset()
 
@@ -154,3 +160,54 @@ def test_a_key_tells_versions_of_the_code_apart(tmp_path, schedule, monkeypatch)
     assert run_key(1, [schedule], []) == first
     (tmp_path / "code.py").write_text("x = 2")
     assert run_key(1, [schedule], []) != first
+
+
+def kept(tmp_path):
+    """A folder of two snapshots, as a run that was stopped leaves it."""
+    for iteration in (4, 8):
+        (tmp_path / f"snapshots/{iteration:06d}").mkdir(parents=True)
+        path = tmp_path / f"snapshot_{iteration:06d}.json"
+        path.write_text(json.dumps({"seconds": 2.0 * iteration}))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "2.0", "[]", "{}", '{"seconds": "2"}', '{"seconds": NaN}']
+)
+def test_a_snapshots_damaged_time_is_named_with_what_to_delete(tmp_path, text):
+    (kept(tmp_path) / "snapshot_000008.json").write_text(text)
+    with pytest.raises(
+        ArtifactError, match=r"snapshot_000008\.json is damaged; delete .*, then run"
+    ):
+        taken_snapshots(tmp_path, {4, 8})
+
+
+def test_a_time_whose_snapshot_is_gone_is_damage(tmp_path):
+    assert len(taken_snapshots(kept(tmp_path), {4, 8, 12})) == 2
+    shutil.rmtree(tmp_path / "snapshots/000004")
+    with pytest.raises(ArtifactError, match=r"snapshot_000004\.json is damaged"):
+        taken_snapshots(tmp_path, {4, 8, 12})
+
+
+def test_a_run_stopped_while_it_handed_over_begins_anew(tmp_path, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    out = tmp_path / "item"
+    with run_folder(out, "key", frozenset({4})) as folder:
+        folder.save(6, 1.0, 0, {})
+        kept(work(tmp_path))
+        monkeypatch.setattr(module.shutil, "move", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            folder.finish(out)
+    with run_folder(out, "key", frozenset({4})) as folder:
+        assert folder.progress is None
+
+
+def test_what_lies_in_the_folder_under_other_names_is_left_alone(tmp_path):
+    stop(tmp_path, 100)
+    (work(tmp_path) / "after_000200.bak").mkdir()
+    (work(tmp_path) / "after_3x").touch()
+    with run_folder(tmp_path / "item", "key", NONE) as folder:
+        assert folder.progress is not None
+        assert folder.progress.iteration == 100

@@ -105,8 +105,10 @@ def _child(work: Callable[[Tell], Tally], sender: Any) -> None:
     sys.addaudithook(_note)
     try:
         tally = work(sender.send)
-    except BaseException:
-        tally = Tally("", failures={"child": traceback.format_exc()[-1500:]})
+    except BaseException as error:
+        # Not of the reader but of the campaign; hypothesis adds pages of notes to what was raised.
+        where = "".join(traceback.format_tb(error.__traceback__)[-2:])
+        tally = Tally("", failures={"child": f"{where}{type(error).__name__}: {error}"[-1500:]})
     sender.send(dataclasses.replace(tally, finished=True))
 
 

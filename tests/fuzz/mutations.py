@@ -205,9 +205,10 @@ def _array(draw: st.DrawFn, value: np.ndarray) -> Any:
             return value.astype(draw(st.sampled_from(DTYPES)))
         return np.zeros(value.shape, [("a", "f8"), ("b", "O")])
     if action == "shape":
+        row = np.atleast_1d(value)  # a single number cannot be cut
         shapes = (
-            value.ravel(), value[None], value[..., None], value.T, value[:0], value[:1],
-            value[..., :0],
+            value.ravel(), value[None], value[..., None], value.T, row[:0], row[:1],
+            row[..., :0],
             value.ravel()[:1].reshape(()) if value.size else value, np.repeat(value[None], 3, 0),
             value.ravel()[:1].reshape((1,) * 20) if value.size else value,
         )  # fmt: skip

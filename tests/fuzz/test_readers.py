@@ -23,7 +23,6 @@ EXEMPT = {
     "pipeline/stability_report.py:_page": OWN,
     "imaging/rasterizers/native_build.py:_key": OWN,
     "imaging/rasterizers/native_build.py:_processor": "reads what the kernel says",
-    "fitting/run_folder.py:finish": "reads seconds that the same stage wrote",
     "fitting/run_folder.py:run_folder": "a lock, which has no content",
     "fitting/run_folder.py:run_key": "counts bytes without looking at what they mean",
 }
