@@ -68,7 +68,10 @@ class _Layers(torch.autograd.Function):
                 return None, None, *weight_grads, *bias_grads
             back = _times(back, weights[layer])
             if layer > 0:
-                back = torch.ops.aten.leaky_relu_backward(back, inputs[layer], ctx.slope, True)
+                # In place: most of this is memory.
+                torch.ops.aten.leaky_relu_backward.grad_input(
+                    back, inputs[layer], ctx.slope, True, grad_input=back
+                )
         return None, back.float(), *weight_grads, *bias_grads
 
 

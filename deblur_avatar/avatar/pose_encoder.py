@@ -24,6 +24,8 @@ class PoseEncoder(nn.Module):
     """
 
     rest: Tensor
+    order: Tensor
+    above: Tensor
 
     def __init__(self, body: Body, betas: Tensor) -> None:
         super().__init__()
@@ -40,8 +42,14 @@ class PoseEncoder(nn.Module):
         lengths = (joints - joints[above]).norm(dim=-1)
         lengths[0] = joints[0].norm()
         self.register_buffer("rest", torch.cat([normal, lengths[:, None]], -1), persistent=False)
-        self._levels = _levels(body.parents)
-        self._parents = body.parents
+        levels = _levels(body.parents)
+        self._sizes = [len(members) for members in levels]
+        # Joints level by level, and where in the level above each one's parent stands.
+        order = [joint for members in levels for joint in members]
+        row = {joint: place for members in levels for place, joint in enumerate(members)}
+        places = [row[max(body.parents[joint], 0)] for joint in order]
+        self.register_buffer("order", torch.tensor(order), persistent=False)
+        self.register_buffer("above", torch.tensor(places), persistent=False)
         inputs = 9 + 3 + 1 + JOINT_FEATURES
         self.overall = nn.Linear(count * 12, JOINT_FEATURES)
         self.weight1 = nn.Parameter(_uniform(count, inputs, inputs))
@@ -53,17 +61,18 @@ class PoseEncoder(nn.Module):
         """Encode rotations relative to the parents; the root's must be the identity."""
         flat = rotations.flatten(1)
         everything = torch.cat([flat, self.rest[:, :3]], dim=1).flatten()
+        code = self.overall(everything)[None]
+        known = torch.cat([flat, self.rest], dim=1)
+        stacks = [known, self.weight1, self.bias1, self.weight2, self.bias2]
+        levels = [stack.index_select(0, self.order).split(self._sizes) for stack in stacks]
         codes: list[Tensor] = []
-        row: dict[int, int] = {}
-        for level, members in enumerate(self._levels):
-            if level == 0:
-                above = self.overall(everything)[None]
-            else:
-                above = codes[-1][[row[self._parents[joint]] for joint in members]]
-            inputs = torch.cat([flat[members], self.rest[members], above], dim=1)[:, None]
-            hidden = torch.baddbmm(self.bias1[members], inputs, self.weight1[members]).relu()
-            codes.append(torch.baddbmm(self.bias2[members], hidden, self.weight2[members])[:, 0])
-            row = {joint: index for index, joint in enumerate(members)}
+        for seen, weight1, bias1, weight2, bias2, above in zip(
+            *levels, self.above.split(self._sizes), strict=True
+        ):
+            inputs = torch.cat([seen, code.index_select(0, above)], dim=1)[:, None]
+            hidden = torch.baddbmm(bias1, inputs, weight1).relu()
+            code = torch.baddbmm(bias2, hidden, weight2)[:, 0]
+            codes.append(code)
         return torch.cat(codes).flatten()
 
 

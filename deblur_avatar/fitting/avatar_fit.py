@@ -290,7 +290,7 @@ class AvatarFit:
             seen = mean = mean.detach()
         code = dressed.pose_code if self.fusion.sees_pose else None
         blend = self.fusion(seen, code, dressed.frame, target.box)
-        return (1 - blend) * sharp + blend * mean
+        return torch.lerp(sharp, mean, blend)
 
     def _is_still(self, iteration: int, index: int) -> bool:
         """Whether a frame counts as still, which is settled once, when it first matters."""

@@ -6,6 +6,8 @@ took stay taken.
 """
 
 import logging
+from collections import defaultdict
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -51,7 +53,7 @@ class Descent:
                 # Log-linear over twice the paper's run, as in the authors' code.
                 group["lr"] = rates.means * (rates.means_final / rates.means) ** (share / 2)
         for group, rate in zip(self.others.param_groups, self._rates, strict=True):
-            if not group["name"].startswith("fusion."):
+            if group["name"] != "fusion":
                 group["lr"] = rate * rates.final_share**share
 
     def step(self, iteration: int, total: Tensor) -> bool:
@@ -76,18 +78,16 @@ class Descent:
         """What the optimisers remember, by unknown."""
         tensors: dict[str, Tensor] = {}
         for name, optimiser in self.optimisers().items():
-            for group in optimiser.param_groups:
-                memory = optimiser.state.get(group["params"][0], {})
-                for key, value in memory.items():
-                    tensors[f"{name}.{group['name']}.{key}"] = value.cpu().clone()
+            for unknown, parameter in _named(optimiser):
+                for key, value in optimiser.state.get(parameter, {}).items():
+                    tensors[f"{name}.{unknown}.{key}"] = value.cpu().clone()
         return tensors
 
     def recall(self, tensors: dict[str, Tensor]) -> None:
         """Take over what `memory` gave; unknowns that are new, or of another shape, have none."""
         for name, optimiser in self.optimisers().items():
-            for group in optimiser.param_groups:
-                parameter = group["params"][0]
-                prefix = f"{name}.{group['name']}."
+            for unknown, parameter in _named(optimiser):
+                prefix = f"{name}.{unknown}."
                 memory = {
                     key.removeprefix(prefix): value.clone().to(parameter.device)
                     for key, value in tensors.items()
@@ -107,7 +107,7 @@ class Descent:
             parameter
             for group in self.others.param_groups
             for parameter in group["params"]
-            if group["name"].startswith("network") and parameter.grad is not None
+            if group["name"] == "network" and parameter.grad is not None
         ]
         if networks:
             torch.nn.utils.clip_grad_norm_(networks, self._params.clip)
@@ -116,10 +116,9 @@ class Descent:
     def _odd_gradient(self) -> str | None:
         """The name of an unknown whose gradient is not finite, or too large to be squared."""
         named = [
-            (group["name"], parameter.grad)
+            (name, parameter.grad)
             for optimiser in self.optimisers().values()
-            for group in optimiser.param_groups
-            for parameter in group["params"]
+            for name, parameter in _named(optimiser)
             if parameter.grad is not None
         ]
         lengths = torch.stack(torch._foreach_norm([grad for _, grad in named]))
@@ -140,6 +139,11 @@ class Descent:
             )
 
 
+def _named(optimiser: torch.optim.Optimizer) -> Iterator[tuple[str, Tensor]]:
+    for group in optimiser.param_groups:
+        yield from zip(group["names"], group["params"], strict=True)
+
+
 def _gaussian_optimiser(model: AvatarModel, params: StartParams) -> torch.optim.Adam:
     """A group each for means, quats, log_scales, opacities, features."""
     rates = params.optimiser
@@ -151,7 +155,7 @@ def _gaussian_optimiser(model: AvatarModel, params: StartParams) -> torch.optim.
         "features": rates.features,
     }
     groups = [
-        {"params": [value], "lr": chosen[name], "name": name}
+        {"params": [value], "lr": chosen[name], "name": name, "names": [name]}
         for name, value in model.gaussians.named_parameters()
     ]
     return torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
@@ -163,9 +167,12 @@ def _other_optimiser(
     fusion: FusionNetwork | None,
     params: StartParams,
 ) -> torch.optim.Adam:
-    """Networks, motion, fusion; a group a parameter, named after it."""
+    """Networks, motion, fusion; what moves alike is one group, and its parameters have names.
+
+    One group a parameter would take a millisecond a step.
+    """
     rates = params.optimiser
-    groups: list[dict[str, object]] = []
+    alike: dict[tuple[str, float, float], dict[str, Tensor]] = defaultdict(dict)
     for prefix, rate in (
         ("skinning", rates.rigid),
         ("nonrigid", rates.nonrigid),
@@ -175,18 +182,23 @@ def _other_optimiser(
         for name, value in model.named_parameters():
             if name.startswith(f"{prefix}."):
                 decay = rates.latent_decay if "latents" in name else 0.0
-                named = {"name": f"network.{name}", "weight_decay": decay}
-                groups.append({"params": [value], "lr": rate} | named)
+                alike["network", rate, decay][f"network.{name}"] = value
     for name, value in trajectory.named_parameters():
         if value.requires_grad:
             rate = {"transl": rates.transl, "shutter": rates.shutter}.get(
                 name.rpartition("_")[2], rates.poses
             )
-            groups.append({"params": [value], "lr": rate, "name": f"motion.{name}"})
+            alike["motion", rate, 0.0][f"motion.{name}"] = value
     if fusion is not None:
         for name, value in fusion.named_parameters():
-            groups.append({"params": [value], "lr": rates.fusion, "name": f"fusion.{name}"})
-    if not groups:
-        still = torch.nn.Parameter(torch.zeros(1))
-        groups.append({"params": [still], "lr": 0.0, "name": "nothing"})
+            alike["fusion", rates.fusion, 0.0][f"fusion.{name}"] = value
+    if not alike:
+        alike["nothing", 0.0, 0.0]["nothing"] = torch.nn.Parameter(torch.zeros(1))
+    groups = [
+        {
+            "params": list(named.values()), "names": list(named), "name": kind,
+            "lr": rate, "weight_decay": decay,
+        }
+        for (kind, rate, decay), named in alike.items()
+    ]  # fmt: skip
     return torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)

@@ -83,6 +83,11 @@ def test_spherical_harmonics_are_orthonormal_and_orthogonal_to_the_mean():
     torch.testing.assert_close((basis * area[:, None]).T @ basis, torch.eye(16).double())
 
 
+def test_the_harmonics_gradient_is_that_of_differences():
+    directions = (2 * points_in_the_cube(6) - 1).requires_grad_()
+    assert torch.autograd.gradcheck(spherical_harmonics, directions)
+
+
 def test_opposite_directions_differ_in_the_odd_degrees_only():
     directions = nn.functional.normalize(points_in_the_cube(), dim=1)
     here, there = spherical_harmonics(directions), spherical_harmonics(-directions)

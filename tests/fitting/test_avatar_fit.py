@@ -372,14 +372,20 @@ def test_network_gradients_are_clipped_together_and_poses_are_not(begin, start):
     assert tensors["networks.motion.start.exp_avg"].norm() / 0.1 > 2e-3
 
 
+def each(fit, setting):
+    """A setting of the optimisers by the unknown's name."""
+    return {
+        name: group[setting]
+        for optimiser in fit.descent.optimisers().values()
+        for group in optimiser.param_groups
+        for name in group["names"]
+    }
+
+
 def test_learning_rates_fall_as_the_papers_do(begin, start):
     fit = begin(motion="pair", fused=True, last=20)
     fit.step(20, "fused", "mean")
-    rates = {
-        group["name"]: group["lr"]
-        for optimiser in fit.descent.optimisers().values()
-        for group in optimiser.param_groups
-    }
+    rates = each(fit, "lr")
     base = start.optimiser
     assert rates["means"] == pytest.approx((base.means * base.means_final) ** 0.5)
     assert rates["quats"] == base.quats
@@ -392,9 +398,7 @@ def test_learning_rates_fall_as_the_papers_do(begin, start):
 
 def test_only_the_latent_codes_of_frames_decay(begin, start):
     fit = begin()
-    decays = {
-        g["name"]: g["weight_decay"] for g in fit.descent.optimisers()["networks"].param_groups
-    }
+    decays = each(fit, "weight_decay")
     assert decays.pop("network.color.latents.weight") == start.optimiser.latent_decay
     assert set(decays.values()) == {0.0}
 
