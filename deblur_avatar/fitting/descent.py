@@ -169,7 +169,7 @@ def _other_optimiser(
 ) -> torch.optim.Adam:
     """Networks, motion, fusion; what moves alike is one group, and its parameters have names.
 
-    One group a parameter would take a millisecond a step.
+    Each group is a call of its own, which takes longer than to move a small parameter.
     """
     rates = params.optimiser
     alike: dict[tuple[str, float, float], dict[str, Tensor]] = defaultdict(dict)

@@ -48,11 +48,13 @@ class FusionNetwork(nn.Module):
         # The convolution as one product over all pixels: faster than as a convolution.
         patches = nn.functional.unfold(seen.permute(2, 0, 1)[None], kernel_size=3, padding=1)[0].T
         features = nn.functional.linear(patches, self.look.weight.flatten(1), self.look.bias)
-        position = position_code(height, width, sharp)[top:bottom, left:right].flatten(0, 1)
+        position = position_code(height, width, sharp)[top:bottom, left:right]
+        features = features.reshape(*position.shape[:2], -1)
         condition = self.frame_codes.weight[frame]
         if pose_code is not None:
             condition = torch.cat([pose_code, condition])
-        inside = self.network(torch.cat([position, features], dim=1), condition).sigmoid()
+        known = torch.cat([position, features], dim=2).flatten(0, 1)
+        inside = self.network(known, condition).sigmoid()
         inside = inside.reshape(bottom - top, right - left)
         padding = (left, width - right, top, height - bottom)
         return nn.functional.pad(inside, padding)[..., None]

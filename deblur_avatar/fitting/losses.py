@@ -4,9 +4,12 @@ Conventions. Images are sRGB in [0, 1]; means run over all pixels and channels, 
 depend on the resolution.
 """
 
+from typing import Any
+
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from deblur_avatar.imaging.lpips import SMALLEST_SIDE, Lpips
 
@@ -135,9 +138,28 @@ def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -
 
 
 def _spacings(values: Tensor, neighbours: Tensor) -> Tensor:
-    # Not `norm`: two Gaussians in one place are the case where its gradient is not a number.
-    squared = _apart(values, neighbours).square().sum(0)
-    return squared.clamp(min=torch.finfo(values.dtype).tiny).sqrt()
+    return _Spacings.apply(values, neighbours)
+
+
+class _Spacings(torch.autograd.Function):
+    # The gradient is by hand: autograd goes over D x K x N numbers more often.
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, neighbours: Tensor) -> Tensor:
+        apart = _apart(values, neighbours)
+        # Not `norm`: two Gaussians in one place are the case where its gradient is not a number.
+        squared = apart.square().sum(0)
+        spacings = squared.clamp(min=torch.finfo(values.dtype).tiny).sqrt()
+        ctx.save_for_backward(apart, spacings, neighbours)
+        return spacings
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+        apart, spacings, neighbours = ctx.saved_tensors
+        pull = apart * (grad / spacings)
+        index = neighbours.T.reshape(1, -1).expand(len(pull), -1)
+        rows = pull.sum(1).neg_().scatter_add_(1, index, pull.flatten(1))
+        return rows.T, None
 
 
 def _apart(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Tensor:
