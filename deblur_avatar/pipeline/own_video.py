@@ -17,7 +17,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from deblur_avatar.config import check_parameters, load_params, read_params
+from deblur_avatar.config import check_parameters, read_params, read_yaml, section_of
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.pipeline.experiment import PARAMS, PIPELINE, experiment_pipeline
 from deblur_avatar.sources.footage import read_footage
@@ -27,7 +27,8 @@ logger = logging.getLogger(__name__)
 AVATARS = Path("avatars")
 MAKER = "make avatar"
 BODY = "anny"
-DEFAULT_START = "paper"  # of methods that have no start of their own name
+DEFAULT_START = "paper"
+ADDED_TO = ("warmups", "runs", "animations")  # sections that each method asked for grows
 HEADER = """\
 # One person's video. Change what you know better, then run the same command again; every key of
 # `clip` is explained in docs/your-own-footage.md. What is not here is the root's params.yaml.
@@ -53,23 +54,21 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
         ArtifactError: if the video cannot be read.
     """
     shared = read_params(root / PARAMS)
-    for kind, key, section in (("method", method, "methods"), ("schedule", schedule, "schedules")):
-        if key not in shared[section]:
-            raise ConfigError(f"no {kind} {key!r}, there is {', '.join(shared[section])}")
+    for kind, key in (("method", method), ("schedule", schedule)):
+        known = section_of(shared, root / PARAMS, f"{kind}s", dict)
+        if key not in known:
+            raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
+    starts = section_of(shared, root / PARAMS, "starts", dict)
+    start = method if method in starts else DEFAULT_START  # of methods that have none of their own
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ConfigError(f"NAME={name}: a name is small letters, digits and _, a letter first")
     folder = root / AVATARS / name
     if (folder / PARAMS).is_file():
-        content = YAML(typ="safe", pure=True).load(folder / PARAMS)
-        known = load_params(folder / PARAMS, f"scenes.{name}.clip.path", str)
-        if Path(known).resolve() != video.resolve():
-            raise ConfigError(
-                f"{folder / PARAMS} is of {known}; choose another NAME for {video}, or change it"
-            )
-        content = _with_method(content, name, method, schedule, shared)
+        content = _own(folder / PARAMS, name, video)
     else:
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
-        content = _with_method(_new(name, video), name, method, schedule, shared)
+        content = _new(name, video)
+    content = _with_method(content, name, method, start) | {"schedule": schedule}
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / PARAMS, content)
     check_parameters(folder / PARAMS)
@@ -165,11 +164,26 @@ def _new(name: str, video: Path) -> dict[str, Any]:
     }
 
 
-def _with_method(
-    content: dict[str, Any], name: str, method: str, schedule: str, shared: dict[str, Any]
-) -> dict[str, Any]:
+def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
+    """What is in an avatar's file, once it is of this video and can be added to."""
+    content: dict[str, Any] = read_yaml(path)
+    known = section_of(content, path, f"scenes.{name}.clip.path", str)
+    for section in ADDED_TO:
+        section_of(content, path, section, dict)
+    if not _same_file(known, video):
+        raise ConfigError(f"{path} is of {known!r}; choose another NAME for {video}, or change it")
+    return content
+
+
+def _same_file(known: str, video: Path) -> bool:
+    try:
+        return os.path.realpath(known) == os.path.realpath(video)
+    except ValueError:  # letters that no path can have
+        return False
+
+
+def _with_method(content: dict[str, Any], name: str, method: str, start: str) -> dict[str, Any]:
     """Add a run and its turntable; what is there stays."""
-    start = method if method in shared["starts"] else DEFAULT_START
     warmup = {"scene": name, "observations": "blurred", "start": start}
     animation = {
         "scene": name,
@@ -187,7 +201,6 @@ def _with_method(
         {"predeblur": {}}
         | content
         | {
-            "schedule": schedule,
             "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],
             "runs": {run: warmup | {"method": method}} | content["runs"],
             "animations": {run: animation} | content["animations"],

@@ -11,11 +11,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.contact_sheets import contact_sheet
@@ -30,6 +31,29 @@ BACKGROUND_STEP = 24  # sRGB codes by which the person differs from what is behi
 MARGIN = 0.06  # around the person, as a share of her longer side
 HEIGHT, WIDTH = 320, 232  # pixels of a picture on the page
 MOST_ENLARGED = 2.0
+
+
+def _below(name: str) -> str:
+    path = Path(name)
+    if not name or "\0" in name or path.is_absolute() or ".." in path.parts:
+        raise ValueError("a picture lies beside views.json")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_below)]
+
+
+class _View(BaseModel):
+    """An entry of `views.json`, as far as it is looked at here."""
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    camera: str
+    frame: int
+    novel_pose: bool
+    render: FileName
+    blurred: FileName
+    truth: FileName | None = None
 
 
 @dataclass(frozen=True)
@@ -77,14 +101,21 @@ def picture_uri(picture: Picture) -> str:
     return data_uri(encoded(picture, ".jpg"), "image/jpeg")
 
 
-def _views(folder: Path) -> dict[tuple[str, int], dict[str, Any]]:
+def _views(folder: Path) -> dict[tuple[str, int], _View]:
     path = folder / "views.json"
     try:
-        return {(view["camera"], view["frame"]): view for view in json.loads(path.read_text())}
+        views = TypeAdapter(list[_View]).validate_python(json.loads(path.read_text()))
     except OSError as error:
         raise ArtifactError(f"cannot read {path}: {error.strerror}; run `dvc repro`") from None
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ArtifactError(
+            f"{path} is damaged: {where}: {first['msg']}; run `dvc repro`"
+        ) from None
+    except (ValueError, RecursionError) as error:
         raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from None
+    return {(view.camera, view.frame): view for view in views}
 
 
 def _spread(count: int, most: int) -> list[int]:
@@ -94,18 +125,18 @@ def _spread(count: int, most: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(0, count - 1, most)})
 
 
-def _strip(drawn: Mapping[str, tuple[Path, dict[str, Any]]]) -> Strip:
+def _strip(drawn: Mapping[str, tuple[Path, _View]]) -> Strip:
     folder, view = next(iter(drawn.values()))
-    truth = {TRUTH: read_picture(folder / view["truth"])} if "truth" in view else {}
-    pictures = {method: read_picture(path / v["render"]) for method, (path, v) in drawn.items()}
+    truth = {TRUTH: read_picture(folder / view.truth)} if view.truth is not None else {}
+    pictures = {method: read_picture(path / v.render) for method, (path, v) in drawn.items()}
     box = person_box([*truth.values(), *pictures.values()])
     cut = {label: _framed(picture, box) for label, picture in {**pictures, **truth}.items()}
-    blurred = read_picture(folder / view["blurred"])
-    where = f"camera {view['camera']}, frame {view['frame']}"
-    pose = ", a pose kept from training" if view["novel_pose"] else ""
+    blurred = read_picture(folder / view.blurred)
+    where = f"camera {view.camera}, frame {view.frame}"
+    pose = ", a pose kept from training" if view.novel_pose else ""
     return Strip(
         caption=f"{where}{pose}. The input is what the training camera saw at that moment.",
-        novel_pose=bool(view["novel_pose"]),
+        novel_pose=view.novel_pose,
         pictures={INPUT: _framed(blurred, person_box([blurred])), **_in_order(cut)},
     )
 

@@ -82,8 +82,8 @@ def moments_of(stages: Mapping[str, Path], costs: Path, params: RunParams) -> li
     for stage, path in cost_files(costs, params).items():
         content = run.read_json(path)
         try:
-            seconds = float(content["seconds"])
-            kept = [(int(s["iteration"]), float(s["seconds"])) for s in content["snapshots"]]
+            seconds = _seconds(content)
+            kept = [(int(s["iteration"]), _seconds(s)) for s in content["snapshots"]]
         except (KeyError, TypeError, ValueError) as error:
             raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from error
         for iteration, took in kept:
@@ -94,6 +94,13 @@ def moments_of(stages: Mapping[str, Path], costs: Path, params: RunParams) -> li
             moments.append(Moment(stage, last, before + seconds, stages[stage]))
         before += seconds
     return moments
+
+
+def _seconds(measured: Mapping[str, Any]) -> float:
+    value = measured["seconds"]
+    if not isinstance(value, int | float):
+        raise TypeError(f"seconds is a {type(value).__name__}")
+    return float(value)
 
 
 def _scored(

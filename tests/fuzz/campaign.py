@@ -50,21 +50,6 @@ def campaign(
     return tally
 
 
-def only(reader: Reader, file: str, content: bytes) -> Tally:
-    """Try one content of one of a reader's files."""
-
-    def work(tell: Tell, folder: Path) -> Tally:
-        tally = Tally(reader.name)
-        reader.write(folder)
-        (folder / file).write_bytes(content)
-        tell(tally)
-        try_input(lambda: reader.read(folder), tally, [])
-        return tally
-
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        return in_child(lambda tell: work(tell, Path(folder)), Tally(reader.name), LONGEST_S)
-
-
 def _name(reader: Reader, failure: str, file: str) -> str:
     return f"{reader.name}-{failure}-{file}".replace("/", "_")[:150]
 

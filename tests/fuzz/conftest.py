@@ -15,7 +15,7 @@ PART = ("--inputs", "4", "--every", "40")
 
 @pytest.fixture(scope="session")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What became of each reader's inputs and of each known defect, by their names.
+    """What became of each reader's inputs, by its name.
 
     In a process of its own: with shapes checked on every call the readers would be far slower.
     """
@@ -31,4 +31,4 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     )
     assert (folder / "record.json").exists(), done.stderr
     record = json.loads((folder / "record.json").read_text())
-    return {row["reader"]: row for row in record["rows"]} | {"defects": record["defects"]}
+    return {row["reader"]: row for row in record["rows"]}

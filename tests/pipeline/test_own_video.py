@@ -69,6 +69,40 @@ def test_one_name_is_one_video(root: Path, video: Path):
 
 
 @pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: [", "is not YAML"),
+        ("\0", "is not YAML"),
+        ("", "the file has no key 'scenes', it has no keys"),
+        ("a: &a {b: *a}", "contains itself"),
+        ("scenes: {anna: 1}", "scenes.anna has no key 'clip'"),
+        ("scenes: {anna: {clip: {path: [1]}}}", r"scenes\.anna\.clip\.path: .*valid string"),
+        ('scenes: {anna: {clip: {path: "\\0"}}}\n%s', "choose another NAME"),
+        ('scenes: {anna: {clip: {path: "\\ud800"}}}\n%s', "choose another NAME"),
+        ("scenes: {anna: {clip: {path: x}}}\nruns: {}", "the file has no key 'warmups', it has"),
+        ("scenes: {anna: {clip: {path: x}}}\nwarmups: {}\nruns: 5", "runs: .*valid dictionary"),
+    ],
+)
+def test_a_damaged_file_of_an_avatar_is_named_and_stays(root, video, text, message):
+    text = text.replace("%s", "warmups: {}\nruns: {}\nanimations: {}")
+    path = root / "avatars/anna/params.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=f"avatars/anna/params.yaml.*{message}"):
+        prepare(video, "anna", "lean", "quick", root)
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("section", ["methods", "schedules", "starts"])
+def test_a_repositorys_damaged_parameters_are_named(root, video, section):
+    parameters = content(root / "params.yaml")
+    with (root / "params.yaml").open("w") as file:
+        YAML().dump(parameters | {section: None}, file)
+    with pytest.raises(ConfigError, match=rf"params\.yaml: {section}: .*valid dictionary"):
+        prepare(video, "anna", "lean", "quick", root)
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"method": "magic"}, "no method 'magic', there is"),

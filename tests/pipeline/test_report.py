@@ -249,6 +249,32 @@ def test_a_damaged_file_is_named(project, name, content, message):
         made(project)
 
 
+VIEW = {
+    "camera": "left", "frame": 2, "novel_pose": False, "render": "2-r.png", "truth": "t.png",
+    "blurred": "2-b.png",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        *(({name: None}, f"0.{name}") for name in VIEW if name != "truth"),
+        ({"frame": "2"}, r"0\.frame"),
+        ({"novel_pose": 1}, r"0\.novel_pose"),
+        ({"render": ["2-r.png"]}, r"0\.render"),
+        ({"truth": ["t.png"]}, r"0\.truth"),
+        ({"blurred": "../yard-blind/2-b.png"}, r"0\.blurred"),
+        ({"blurred": "2\x00.png"}, r"0\.blurred"),
+        ({"render": ""}, r"0\.render"),
+    ],
+)
+def test_an_entry_of_views_that_is_none_is_named(project, changes, place):
+    view = {key: value for key, value in {**VIEW, **changes}.items() if value is not None}
+    write_json(project / "evaluate/yard-paper/views.json", [view])
+    with pytest.raises(ArtifactError, match=rf"yard-paper/views\.json is damaged: {place}: "):
+        made(project)
+
+
 def test_names_from_files_cannot_change_the_page(project):
     name = "<script>alert(1)</script>"
     views = json.loads((project / "evaluate/yard-paper/views.json").read_text())

@@ -107,3 +107,15 @@ def test_measurements_of_before_there_were_snapshots_are_named(trained):
     path.write_text(json.dumps({"seconds": 1.0}))
     with pytest.raises(ArtifactError, match=r"trajectory/hall-oracle.json is damaged"):
         moments_of(stages, costs, RUN)
+
+
+@pytest.mark.parametrize("seconds", ["1.0", "nan", [1.0], None, 10**400])
+@pytest.mark.parametrize("where", ["stage", "snapshot"])
+def test_times_that_are_no_numbers_are_named(trained, seconds, where):
+    stages, costs = trained
+    kept = [{"iteration": 2, "seconds": seconds if where == "snapshot" else 1.0}]
+    path = costs / "trajectory" / "hall-oracle.json"
+    cost = {"seconds": seconds if where == "stage" else 1.0, "snapshots": kept}
+    path.write_text(json.dumps(cost))
+    with pytest.raises(ArtifactError, match=r"trajectory/hall-oracle\.json"):
+        moments_of(stages, costs, RUN)
