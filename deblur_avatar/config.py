@@ -352,6 +352,7 @@ class StartParams(Params):
     optimiser: OptimiserParams
     losses: LossParams
     densify: DensifyParams
+    exposure_gain: Literal["none", "frame"]  # frame: each may be brighter than the clip, or darker
 
 
 class TrajectoryParams(Params):

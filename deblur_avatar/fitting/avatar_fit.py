@@ -19,6 +19,7 @@ from deblur_avatar.config import ScheduleParams, StartParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.fitting.densify import Densifier, replace_gaussians
 from deblur_avatar.fitting.descent import PAPER_ITERATIONS, Descent
+from deblur_avatar.fitting.exposure_gains import ExposureGains
 from deblur_avatar.fitting.fusion_network import FusionNetwork
 from deblur_avatar.fitting.objective import Objective
 from deblur_avatar.fitting.run_folder import Progress, RunFolder, Snapshot
@@ -74,6 +75,11 @@ class AvatarFit:
         self._still: set[int] | None = None
         self.descent = Descent(model, trajectory, fusion, params, schedule)
         self._densifier = Densifier(len(model.gaussians), device)
+        self._gains = (
+            ExposureGains(len(observations.frames), observations.light, device)
+            if params.exposure_gain == "frame"
+            else None
+        )
 
     def pretrain_skinning(self, iterations: int) -> None:
         """Teach the skinning network the body's own weights before it has to bend anything.
@@ -169,6 +175,10 @@ class AvatarFit:
         blended = self.fusion is not None
         weights = shares(supervision, iteration / self._scale, still, blended)
         compared = [(weight, pictures[name]) for name, weight in weights.items()]
+        if self._gains is not None:
+            gain = self._gains.of(index)
+            self._gains.observe(index, compared[-1][1], target)
+            compared = [(weight, gain * picture) for weight, picture in compared]
         terms = self.objective.pictures(compared, alpha, target)
         terms |= self.objective.skinning(iteration)
         middle = len(means) // 2
@@ -211,11 +221,15 @@ class AvatarFit:
 
     def _memory(self) -> dict[str, Tensor]:
         held = {f"densifier.{key}": value for key, value in self._densifier.state().items()}
+        if self._gains is not None:
+            held |= {f"gains.{key}": value for key, value in self._gains.state().items()}
         return self.descent.memory() | {key: value.cpu().clone() for key, value in held.items()}
 
     def _recall(self, tensors: dict[str, Tensor]) -> None:
         self.descent.recall(tensors)
         self._densifier.restore(_below("densifier.", tensors))
+        if self._gains is not None:
+            self._gains.restore(_below("gains.", tensors))
 
     def _modules(self) -> dict[str, torch.nn.Module]:
         modules = {"model.": self.model, "trajectory.": self.trajectory}

@@ -29,7 +29,7 @@ from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams
 
 logger = logging.getLogger(__name__)
 
-FIT_KEYS = ("budget", "seed", "estimated_shutter", "start_noise", "needles")
+FIT_KEYS = ("budget", "seed", "estimated_shutter", "exposure_gain", "start_noise", "needles")
 PICTURES = ("blurred", "render", "truth")
 
 Film = Callable[[str], tuple[Clip, Reference]]
@@ -131,7 +131,7 @@ def _attempt(
             row["flags"] = _flags(prepared.blurred, prepared.metrics)
             fitted = fit_method(
                 prepared.blurred,
-                start,
+                _begun(start, severity.fit),
                 _changed(method, severity.fit),
                 lengthened(schedule, severity.fit.get("budget", 1.0)),
                 seed=seed + int(severity.fit.get("seed", 0)),
@@ -145,6 +145,11 @@ def _attempt(
             logger.warning("%s", "".join(traceback.format_exception(error)))
             return {**row, "crashed": f"{type(error).__name__}: {error}", "warnings": heard}, None
     return {**row, **measured.numbers, "warnings": heard}, measured
+
+
+def _begun(start: StartParams, fit: Mapping[str, float]) -> StartParams:
+    """The start as a severity wants it."""
+    return start.model_copy(update={"exposure_gain": "frame"}) if "exposure_gain" in fit else start
 
 
 def _changed(method: MethodParams, fit: Mapping[str, float]) -> MethodParams:

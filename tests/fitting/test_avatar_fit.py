@@ -487,14 +487,16 @@ def continued(fit, motion, checkpoint, seen, params, schedule, last):
     return again
 
 
+@pytest.mark.parametrize("gain", ["none", "frame"])
 def test_a_restored_fit_goes_on_bit_for_bit_as_the_uninterrupted_one(
-    begin, start, schedule, sharpened, tmp_path
+    begin, start, schedule, sharpened, tmp_path, gain
 ):
     # Iteration 99 ends a round of three frames, and at 100 neighbours are looked up anyway: order
     # and neighbours are the two things that a checkpoint does not hold.
     seen = sharpened(train=(0, 1, 2))
     density = {"start": 9500, "every": 400, "stop": 15_000, "gradient": 1e-3, "most": 99.0}
     params = changed(densifying(start), "densify", **density)
+    params = params.model_copy(update={"exposure_gain": gain})
     fit = begin(params=params, motion="pair", seen=seen, last=150, count=60)
     fit.run(1, 99, "mean", "mean", quiet)
     count = len(fit.model.gaussians)
@@ -508,6 +510,25 @@ def test_a_restored_fit_goes_on_bit_for_bit_as_the_uninterrupted_one(
         one.run(100, 106, "mean", "mean", quiet)
     assert len(fit.model.gaussians) > count  # the densifier has gone on too
     assert not moved(everything(fit), everything(again))
+
+
+def test_darker_frames_are_explained_by_a_gain_if_that_is_asked_for(begin, start, sharpened):
+    seen = sharpened(train=(0, 1, 2))
+    dim = seen.frames.clone()
+    dim[0] = dim[0] // 2
+    seen = dataclasses.replace(seen, frames=dim)
+    misses = {}
+    for gain in ("none", "frame"):
+        params = without_densification(start).model_copy(update={"exposure_gain": gain})
+        fit = begin(params=params, seen=seen, last=60)
+        heard = []
+        fit.run(1, 60, "sharp", "mean", lambda _, terms, heard=heard: heard.append(terms["l1"]))
+        misses[gain] = sum(heard[-12:])
+        found = fit.checkpoint(60).tensors.get("gains.found")
+        assert (found is None) == (gain == "none")
+    assert found is not None
+    assert float(found[0]) < float(found[1]) - 0.4
+    assert misses["frame"] < 0.97 * misses["none"]
 
 
 def test_a_checkpoint_does_not_change_when_fitting_goes_on(begin, start):
