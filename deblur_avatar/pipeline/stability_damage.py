@@ -17,6 +17,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts import BlurryClip, Poses
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
+from deblur_avatar.sources.missing_poses import fill_missing
 from deblur_avatar.sources.studio.motion import Moves
 from deblur_avatar.sources.studio.noise import disturb
 
@@ -52,11 +53,20 @@ def _noise(correlation_s: float, degrees: bool) -> Damage:
 
 
 def _missing(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
+    """Some frames have no pose, which sources fill in."""
     poses = clip.initial
     assert poses is not None
     lost = torch.rand(len(poses.transl), generator=generator) < amount
-    pose = poses.body_pose.masked_fill(lost[:, None, None], math.nan)
-    return dataclasses.replace(clip, initial=dataclasses.replace(poses, body_pose=pose))
+    turns = torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1)
+    turns, transl = fill_missing(
+        turns.masked_fill(lost[:, None, None], math.nan),
+        poses.transl.masked_fill(lost[:, None], math.nan),
+        "the clip",
+    )
+    filled = dataclasses.replace(
+        poses, global_orient=turns[:, 0], body_pose=turns[:, 1:], transl=transl
+    )
+    return dataclasses.replace(clip, initial=filled)
 
 
 def _none(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:

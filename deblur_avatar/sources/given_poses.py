@@ -3,7 +3,8 @@
 A `.npz` with, for each of F frames of the footage, `global_orient` [F,3], `body_pose` [F,23,3] or
 [F,69] (or both in one, `poses` [F,72]), `transl` [F,3], and one `betas` [B]: SMPL's meaning,
 axis-angle, radians, metres. Without more they are in the camera's axes of each frame (OpenCV's).
-With `viewmats` [F,4,4] or [4,4], world to camera, they are in that world.
+With `viewmats` [F,4,4] or [4,4], world to camera, they are in that world. A frame without
+a pose has NaN for every number of it, and gets one from the frames around (`missing_poses`).
 
 A camera that moves past a person who stands shows the same pictures as one that stands before a
 person who moves. The background is taken away, so nothing else is left of the camera's way, and
@@ -23,6 +24,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from deblur_avatar.npz_files import load_npz
+from deblur_avatar.sources.missing_poses import fill_missing, without_pose
 
 KEYS = ("poses", "global_orient", "body_pose", "transl", "betas", "viewmats")
 LARGEST = 1e6  # of an angle or a place
@@ -52,9 +54,16 @@ def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Bo
     frames = total if total is not None else len(arrays.get("transl", ()))
     if frames <= max(numbers):
         raise ArtifactError(f"{path}: transl is of {frames} frames, wanted {max(numbers) + 1}")
-    orient = _checked(arrays, "global_orient", (frames, 3), path)
-    pose = _checked(arrays, "body_pose", (frames, joints, 3), path)
-    transl = _checked(arrays, "transl", (frames, 3), path)
+    orient = _shaped(arrays, "global_orient", (frames, 3), path)
+    pose = _shaped(arrays, "body_pose", (frames, joints, 3), path)
+    transl = _shaped(arrays, "transl", (frames, 3), path)
+    turns = torch.cat([orient[:, None], pose], dim=1)
+    bare = without_pose(turns, transl)
+    for name, value in (("global_orient", orient), ("body_pose", pose), ("transl", transl)):
+        _check_numbers(value[~bare], name, path)
+    # What lies outside the frames wanted may be missing, and does not count.
+    first, last = min(numbers), max(numbers) + 1
+    turns, transl = fill_missing(turns[first:last], transl[first:last], str(path))
     betas = arrays.get("betas", np.zeros(0)).reshape(-1)
     if len(betas) != shapes:
         raise ArtifactError(
@@ -62,12 +71,13 @@ def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Bo
             "one body model: name that model under bodies, or change shape_components"
         )
     chosen = list(numbers)
+    rows = [number - first for number in numbers]
     try:
         poses = Poses(
             betas=torch.from_numpy(betas).float(),
-            global_orient=orient[chosen],
-            body_pose=pose[chosen],
-            transl=transl[chosen],
+            global_orient=turns[rows, 0],
+            body_pose=turns[rows, 1:],
+            transl=transl[rows],
         )
     except ArtifactError as error:
         raise ArtifactError(f"{path}: {error}") from None
@@ -123,6 +133,17 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 def _checked(
     arrays: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path
 ) -> Tensor:
+    value = _shaped(arrays, name, shape, path)
+    _check_numbers(value, name, path)
+    return value
+
+
+def _check_numbers(value: Tensor, name: str, path: Path) -> None:
+    if not bool((value.abs() <= LARGEST).all()):
+        raise ArtifactError(f"{path}: {name} holds values that are not finite or over {LARGEST:g}")
+
+
+def _shaped(arrays: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> Tensor:
     if name not in arrays:
         raise ArtifactError(
             f"{path} has no {name}, it has {', '.join(sorted(arrays)) or 'nothing'}"
@@ -133,6 +154,4 @@ def _checked(
             f"{path}: {name} is {list(value.shape)}, wanted {list(shape)}: one row for every frame "
             "of the footage"
         )
-    if not (abs(value) <= LARGEST).all():
-        raise ArtifactError(f"{path}: {name} holds values that are not finite or over {LARGEST:g}")
     return torch.from_numpy(value.reshape(shape)).float()

@@ -55,7 +55,8 @@ TOUCHES = {
     "noise_iid_degrees": (6.0, {"initial"}), "noise_correlated_degrees": (6.0, {"initial"}),
     "root_noise_cm": (5.0, {"initial"}), "no_poses": (0.0, {"initial"}),
     "held_poses_frames": (3.0, {"initial"}), "wrapped_angles": (0.0, {"initial"}),
-    "half_turn": (0.0, {"initial"}), "shutter_times": (2.0, {"exposure"}),
+    "half_turn": (0.0, {"initial"}), "missing_poses_share": (0.3, {"initial"}),
+    "shutter_times": (2.0, {"exposure"}),
     "masks_dilated_px": (2.0, {"mattes"}), "masks_eroded_px": (2.0, {"mattes"}),
     "masks_holes_share": (0.2, {"mattes"}), "masks_swapped": (3.0, {"mattes"}),
     "masks_above": (127.0, {"mattes"}), "masks_black": (1.0, {"mattes"}),
@@ -73,12 +74,11 @@ def test_a_damage_touches_what_it_is_about_alone(clip, name):
 
 @pytest.mark.parametrize(
     "name",
-    ["missing_poses_share", "nan_pose_frame", "inf_pose_frame", "zero_focal", "nan_camera",
-     "mirrored_camera"],
-)  # fmt: skip
+    ["nan_pose_frame", "inf_pose_frame", "zero_focal", "nan_camera", "mirrored_camera"],
+)
 def test_what_cannot_be_is_refused_when_it_is_made(clip, name):
     with pytest.raises(ArtifactError):
-        damaged(clip, name, 0.3 if name == "missing_poses_share" else 3.0)
+        damaged(clip, name, 3.0)
 
 
 def test_noise_has_the_size_asked_for(clip):

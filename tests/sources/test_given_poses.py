@@ -40,6 +40,20 @@ def test_poses_are_those_of_the_frames_taken(tmp_path: Path, body: Body, arrays)
     assert torch.equal(poses.body_pose, torch.from_numpy(arrays["body_pose"][[1, 3]]))
 
 
+def test_frames_without_a_pose_get_one_from_the_frames_around(tmp_path: Path, body: Body, arrays):
+    whole = dict(arrays)
+    for name in ("global_orient", "body_pose", "transl"):
+        arrays[name] = arrays[name].copy()
+        arrays[name][[0, 2]] = np.nan
+    np.savez(tmp_path / "a.npz", **arrays)
+    poses = read_poses(tmp_path / "a.npz", (1, 2, 3), FRAMES, body)
+    between = torch.from_numpy((whole["transl"][1] + whole["transl"][3]) / 2)
+    torch.testing.assert_close(poses.transl[1], between)
+    assert torch.equal(poses.body_pose[0], torch.from_numpy(whole["body_pose"][1]))
+    with pytest.raises(ArtifactError, match="have no pose, the first or the last among them"):
+        read_poses(tmp_path / "a.npz", (0, 1, 3), FRAMES, body)
+
+
 def test_flat_poses_and_poses_in_one_array_are_read_alike(tmp_path: Path, body: Body, arrays):
     np.savez(tmp_path / "a.npz", **arrays)
     flat = arrays["body_pose"].reshape(FRAMES, -1)
