@@ -160,14 +160,15 @@ def _table(
     for method, label in section.rows.items():
         results = [results[method] for results in seeds if method in results]
         if results:
-            cells = [_cell(results, column) for column in COLUMNS]
+            cells = [shown_with_spread(*both, column) for column, both in _measured(results)]
             rows.append([label, *cells, *(section.paper.get(method, ()))])
     return section, rows
 
 
-def _cell(results: Sequence[Result], column: Column) -> str:
-    mean, scatter = (look_up(over(results), column.path) for over in (averaged, spread))
-    return shown_with_spread(mean, scatter, column)
+def _measured(results: Sequence[Result]) -> list[tuple[Column, tuple[float | None, float | None]]]:
+    """Each column's mean and spread over results of one method."""
+    mean, scatter = averaged(results), spread(results)
+    return [(c, (look_up(mean, c.path), look_up(scatter, c.path))) for c in COLUMNS]
 
 
 def _markdown(section: Section, rows: list[list[str]]) -> str:
@@ -182,11 +183,8 @@ def _summary(seeds: Sequence[Mapping[str, Result]], scene: str, schedule: str) -
     for method in methods:
         results = [results[method] for results in seeds if method in results]
         content[method] = {"seeds": len(results)}
-        for column in COLUMNS:
-            content[method]["_".join(column.path)] = {
-                "mean": look_up(averaged(results), column.path),
-                "spread": look_up(spread(results), column.path),
-            }
+        for column, (mean, scatter) in _measured(results):
+            content[method]["_".join(column.path)] = {"mean": mean, "spread": scatter}
     return {"scene": scene, "schedule": schedule, "methods": content}
 
 
