@@ -1,9 +1,7 @@
 """One entry in a parameter file is all that a sequence in ZJU-MoCap's layout needs."""
 
-import importlib.util
 import json
 import math
-from pathlib import Path
 
 import pytest
 import torch
@@ -13,17 +11,8 @@ from deblur_avatar.artifacts import Avatar, BlurryClip, Observations, Reference
 from deblur_avatar.avatar.body import posed_vertices
 from deblur_avatar.imaging.mesh_rendering import View, cast_rays
 from tests.process_state import process_state_kept
+from tests.stages.running import script_of
 from tests.zju_sequence import SHAPES, write_sequence
-
-STAGES = Path(__file__).parents[2] / "stages"
-
-
-def run_stage(stage, **arguments):
-    """What `python stages/<stage>.py` does, in this process."""
-    spec = importlib.util.spec_from_file_location(stage, STAGES / f"{stage}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.main(**arguments)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -64,13 +53,13 @@ def folder(tmp_path_factory, tiny_parameters):
     with params_file.open("w") as file:
         YAML().dump(content, file)
     shared = {"scene": "zju", "params_file": params_file}
-    run_stage("body", name="smpl", out=folder / "body", params_file=params_file)
-    run_stage("clip", body=folder / "body", out=folder / "clip", **shared)
-    run_stage(
-        "blur", clip=folder / "clip", out=folder / "blur", metrics=folder / "blur.json", **shared
+    script_of("body").main(name="smpl", out=folder / "body", params_file=params_file)
+    script_of("clip").main(body=folder / "body", out=folder / "clip", **shared)
+    script_of("blur").main(
+        clip=folder / "clip", out=folder / "blur", metrics=folder / "blur.json", **shared
     )
-    run_stage(
-        "preprocess", blur=folder / "blur", body=folder / "body", out=folder / "seen",
+    script_of("preprocess").main(
+        blur=folder / "blur", body=folder / "body", out=folder / "seen",
         metrics=folder / "seen.json", **shared,
     )  # fmt: skip
     return folder
@@ -108,19 +97,19 @@ def test_the_whole_pipeline_runs_to_metrics(folder):
     params_file, seen = folder / "params.yaml", folder / "seen/blurred"
     steps = {"start": "lean", "observations": seen, "params_file": params_file}
     costs = folder / "metrics"
-    run_stage(
-        "warmup", out=folder / "warmup", metrics=costs / "warmup/zju-blurred-lean.json", **steps
+    script_of("warmup").main(
+        out=folder / "warmup", metrics=costs / "warmup/zju-blurred-lean.json", **steps
     )
-    run_stage(
-        "trajectory", method="lean", warmup=folder / "warmup", out=folder / "trajectory",
+    script_of("trajectory").main(
+        method="lean", warmup=folder / "warmup", out=folder / "trajectory",
         metrics=costs / "trajectory/zju-lean.json", **steps,
     )  # fmt: skip
-    run_stage(
-        "fusion", method="lean", trajectory=folder / "trajectory", out=folder / "fusion",
+    script_of("fusion").main(
+        method="lean", trajectory=folder / "trajectory", out=folder / "fusion",
         metrics=costs / "fusion/zju-lean.json", **steps,
     )  # fmt: skip
-    run_stage(
-        "evaluate", scene="zju", method="lean", observations=seen,
+    script_of("evaluate").main(
+        scene="zju", method="lean", observations=seen,
         reference=folder / "clip/reference", fusion=folder / "fusion", costs=costs,
         out=folder / "evaluate", metrics=costs / "zju/lean.json", params_file=params_file,
     )  # fmt: skip

@@ -5,7 +5,6 @@ a run that is left alone, folder of one that is killed again and again, how many
 is slow to import is imported before the first child.
 """
 
-import importlib.util
 import os
 import random
 import signal
@@ -19,33 +18,7 @@ import torch
 import torch._dynamo  # the optimisers' first step would import it
 
 from deblur_avatar.fitting import avatar_fit, run_folder
-
-ROOT = Path(__file__).resolve().parents[2]
-BEFORE = {"trajectory": "warmup", "fusion": "trajectory"}
-
-
-def script_of(stage: str) -> types.ModuleType:
-    """The stage's script, as a module."""
-    spec = importlib.util.spec_from_file_location(stage, ROOT / f"stages/{stage}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    return script
-
-
-def run_stage(script: types.ModuleType, stage: str, folder: Path) -> None:
-    """Run the stage as DVC does."""
-    given = {
-        "start": "paper",
-        "observations": folder / "observations",
-        "out": folder / stage,
-        "metrics": folder / f"{stage}.json",
-        "params_file": folder / "params.yaml",
-    }
-    if stage in BEFORE:
-        given |= {"method": "paper", BEFORE[stage]: folder / BEFORE[stage]}
-    script.main(**given)
+from tests.stages.running import fitting_options, script_of
 
 
 def child(script: types.ModuleType, stage: str, folder: Path, limit_s: float | None) -> int:
@@ -54,7 +27,7 @@ def child(script: types.ModuleType, stage: str, folder: Path, limit_s: float | N
     pid = os.fork()
     if pid == 0:
         try:
-            run_stage(script, stage, folder)
+            script.main(**fitting_options(stage, folder, folder))
         except BaseException:
             traceback.print_exc()
             os._exit(1)

@@ -1,15 +1,11 @@
-import subprocess
-import sys
-from pathlib import Path
-
 import av
 import pytest
 
 from deblur_avatar.avatar.motion import FrameMotion
 from deblur_avatar.imaging.picture_files import read_picture
 from tests.conftest import colourful
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).parents[2]
 PARAMS = """\
 seed: 0
 animations:
@@ -31,11 +27,9 @@ def run_stage(tmp_path, body, observations):
         options = {
             "name": "capsules-blind", "observations": tmp_path / "observations",
             "avatar": tmp_path / "avatar", "fitted": tmp_path / "motion",
-            "out": tmp_path / "out", "params-file": tmp_path / "params.yaml",
+            "out": tmp_path / "out", "params_file": tmp_path / "params.yaml",
         }  # fmt: skip
-        words = [str(word) for key, value in options.items() for word in (f"--{key}", value)]
-        command = [sys.executable, str(ROOT / "stages/animate.py"), *words]
-        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        return run_script("animate", **options)
 
     return run
 

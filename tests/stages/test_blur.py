@@ -1,13 +1,12 @@
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import torch
 
 from deblur_avatar.artifacts import BlurryClip, Cameras, Clip
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 0
 scenes:
@@ -53,13 +52,9 @@ def run_stage(folder: Path, params: str) -> "subprocess.CompletedProcess[str]":
         "clip": folder / "clip",
         "out": folder / "blur",
         "metrics": folder / "metrics.json",
-        "params-file": folder / "params.yaml",
+        "params_file": folder / "params.yaml",
     }
-    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    return subprocess.run(
-        [sys.executable, "stages/blur.py", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    return run_script("blur", **options)
 
 
 def test_the_stage_blurs_a_few_pixels(tmp_path):

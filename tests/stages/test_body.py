@@ -1,5 +1,4 @@
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +6,8 @@ from numpy.random import default_rng
 
 from deblur_avatar.artifacts import Body
 from deblur_avatar.avatar.capsule_body import capsule_body
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 0
 bodies:
@@ -19,9 +18,7 @@ bodies:
 def run_stage(tmp_path: Path, model: Path) -> subprocess.CompletedProcess[str]:
     params = tmp_path / "params.yaml"
     params.write_text(PARAMS.replace("${MODEL_FILE}", str(model)))
-    command = [sys.executable, str(ROOT / "stages/body.py"), "--name", "own"]
-    command += ["--out", str(tmp_path / "body"), "--params-file", str(params)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    return run_script("body", name="own", out=tmp_path / "body", params_file=params)
 
 
 def write_smpl_like(path: Path) -> None:

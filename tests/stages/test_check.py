@@ -1,22 +1,17 @@
 import json
 import subprocess
-import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.stages.running import run_script
 
 
 def run_stage(folder: Path, fit: Path) -> "subprocess.CompletedProcess[str]":
     (folder / "params.yaml").write_text("check: {on_failure: stop}\n")
     options = {
         "scene": "hall", "observations": folder / "observations", "fit": fit, "out": folder / "out",
-        "metrics": folder / "metrics.json", "params-file": folder / "params.yaml",
+        "metrics": folder / "metrics.json", "params_file": folder / "params.yaml",
     }  # fmt: skip
-    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    return subprocess.run(
-        [sys.executable, "stages/check.py", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    return run_script("check", **options)
 
 
 def test_the_stage_checks_a_few_pixels_and_stops_at_what_fails(make_observations, tmp_path):

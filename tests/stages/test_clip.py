@@ -1,13 +1,12 @@
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
 from deblur_avatar.artifacts import Body, Clip, Reference
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 0
 scenes:
@@ -31,10 +30,8 @@ scenes:
 
 def run_stage(tmp_path: Path, params: str) -> subprocess.CompletedProcess[str]:
     (tmp_path / "params.yaml").write_text(params)
-    command = [sys.executable, str(ROOT / "stages/clip.py"), "--scene", "tiny"]
-    command += ["--body", str(tmp_path / "body"), "--out", str(tmp_path / "clip")]
-    command += ["--params-file", str(tmp_path / "params.yaml")]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    files = {"body": "body", "out": "clip", "params_file": "params.yaml"}
+    return run_script("clip", scene="tiny", **{key: tmp_path / file for key, file in files.items()})
 
 
 def contents(folder: Path) -> dict[str, bytes]:

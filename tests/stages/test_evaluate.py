@@ -1,11 +1,10 @@
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 from tests.filmed_scene import film
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 3
 schedule: quick
@@ -25,13 +24,9 @@ def run_stage(folder: Path, method: str) -> "subprocess.CompletedProcess[str]":
         "costs": folder / "costs",
         "out": folder / "out",
         "metrics": folder / "metrics.json",
-        "params-file": folder / "params.yaml",
+        "params_file": folder / "params.yaml",
     }
-    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    return subprocess.run(
-        [sys.executable, "stages/evaluate.py", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    return run_script("evaluate", **options)
 
 
 def test_the_stage_measures_a_few_pixels(painted, make_observations, tmp_path):

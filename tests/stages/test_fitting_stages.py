@@ -1,12 +1,9 @@
 """The three fitting stages, run as DVC runs them: one process each, on a few pixels."""
 
 import copy
-import importlib.util
 import json
 import logging
-import subprocess
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
@@ -16,45 +13,9 @@ from ruamel.yaml import YAML
 from deblur_avatar import run
 from deblur_avatar.artifacts import Avatar, Checkpoint, Motion
 from tests.process_state import process_state_kept
+from tests.stages.running import BEFORE, fitting_options, run_script, script_of, words
 
-ROOT = Path(__file__).resolve().parents[2]
 STAGES = ("warmup", "trajectory", "fusion")
-BEFORE = {"trajectory": "warmup", "fusion": "trajectory"}
-
-
-def options(stage: str, folder: Path, read: Path) -> dict[str, Any]:
-    """A stage's options: it writes to `folder` and reads what earlier ones wrote to `read`."""
-    given = {
-        "start": "paper",
-        "observations": read / "observations",
-        "out": folder / stage,
-        "metrics": folder / f"{stage}.json",
-        "params_file": folder / "params.yaml",
-    }
-    if stage in BEFORE:
-        given |= {"method": "paper", BEFORE[stage]: read / BEFORE[stage]}
-    return given
-
-
-def words(stage: str, folder: Path, read: Path) -> list[str]:
-    pairs = options(stage, folder, read).items()
-    return [word for key, value in pairs for word in (f"--{key.replace('_', '-')}", str(value))]
-
-
-def run_script(stage: str, folder: Path, read: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, f"stages/{stage}.py", *words(stage, folder, read)],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-
-
-def script(stage: str) -> types.ModuleType:
-    spec = importlib.util.spec_from_file_location(f"{stage}_script", ROOT / f"stages/{stage}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def write_params(folder: Path, content: dict[str, Any]) -> None:
@@ -73,7 +34,9 @@ def chain(tmp_path_factory, observations, tiny):
     folder = tmp_path_factory.mktemp("chain")
     observations.save(folder / "observations")
     write_params(folder, tiny)
-    return folder, {stage: run_script(stage, folder, folder) for stage in STAGES}
+    return folder, {
+        stage: run_script(stage, **fitting_options(stage, folder, folder)) for stage in STAGES
+    }
 
 
 @pytest.fixture
@@ -129,7 +92,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_a_second_run_in_another_process_writes_the_same_bytes(chain, tiny, stage, tmp_path):
     folder, _ = chain
     write_params(tmp_path, tiny)
-    script(stage).main(**options(stage, tmp_path, folder))
+    script_of(stage).main(**fitting_options(stage, tmp_path, folder))
     assert files(tmp_path / stage) == files(folder / stage)
 
 
@@ -149,7 +112,7 @@ def test_a_typo_in_the_parameters_ends_with_one_line_and_no_output(chain, tiny, 
     content = copy.deepcopy(tiny)
     where = misspell(content, "warmup")
     write_params(tmp_path, content)
-    done = run_script("warmup", tmp_path, folder)
+    done = run_script("warmup", **fitting_options("warmup", tmp_path, folder))
     assert done.returncode == 1
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
@@ -160,9 +123,9 @@ def test_a_typo_in_the_parameters_ends_with_one_line_and_no_output(chain, tiny, 
 
 def refused(stage, folder, read, monkeypatch, capsys) -> str:
     """What a stage that ends with exit code 1 says."""
-    monkeypatch.setattr(sys, "argv", [stage, *words(stage, folder, read)])
+    monkeypatch.setattr(sys, "argv", [stage, *words(fitting_options(stage, folder, read))])
     with pytest.raises(SystemExit) as end:
-        run.command(script(stage).main)
+        run.command(script_of(stage).main)
     assert end.value.code == 1
     (line,) = capsys.readouterr().err.splitlines()
     return line

@@ -1,11 +1,9 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 from deblur_avatar.artifacts import Observations
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 0
 predeblur:
@@ -24,13 +22,9 @@ def test_the_script_writes_observations_and_says_how_far_they_are_from_the_sharp
         "sharp": tmp_path / "blurred",
         "out": tmp_path / "deblurred",
         "metrics": tmp_path / "metrics.json",
-        "params-file": tmp_path / "params.yaml",
+        "params_file": tmp_path / "params.yaml",
     }
-    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    done = subprocess.run(
-        [sys.executable, "stages/predeblur.py", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = run_script("predeblur", **options)
     assert done.returncode == 0, done.stderr
     assert Observations.load(tmp_path / "deblurred").frames.shape == observations.frames.shape
     metrics = json.loads((tmp_path / "metrics.json").read_text())

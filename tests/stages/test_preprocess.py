@@ -1,15 +1,14 @@
 import dataclasses
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
 from deblur_avatar.artifacts import BlurryClip, Body, Cameras, Observations, Poses
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 0
 schedule: small
@@ -64,16 +63,9 @@ def run_stage(folder: Path) -> "subprocess.CompletedProcess[str]":
         "body": folder / "body",
         "out": folder / "preprocess",
         "metrics": folder / "metrics.json",
-        "params-file": folder / "params.yaml",
+        "params_file": folder / "params.yaml",
     }
-    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    return subprocess.run(
-        [sys.executable, "stages/preprocess.py", *words],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return run_script("preprocess", **options)
 
 
 @pytest.fixture

@@ -1,9 +1,6 @@
 import json
-import subprocess
-import sys
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.stages.running import run_script
 
 
 def test_it_writes_the_report_and_prints_the_table_and_where_it_lies(tmp_path):
@@ -13,12 +10,11 @@ def test_it_writes_the_report_and_prints_the_table_and_where_it_lies(tmp_path):
         content = {"scene": "studio", "method": method, "image": {"psnr": psnr}}
         (metrics / f"{method}.json").write_text(json.dumps(content))
     (tmp_path / "params.yaml").write_text("seed: 0\n")
-    command = [
-        sys.executable, str(ROOT / "stages/report.py"), "--metrics", str(tmp_path / "metrics"),
-        "--pictures", str(tmp_path / "evaluate"), "--animations", str(tmp_path / "animate"),
-        "--out", str(tmp_path / "reports"), "--params-file", str(tmp_path / "params.yaml"),
-    ]  # fmt: skip
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    files = {
+        "metrics": "metrics", "pictures": "evaluate", "animations": "animate", "out": "reports",
+        "params_file": "params.yaml",
+    }  # fmt: skip
+    done = run_script("report", **{key: tmp_path / file for key, file in files.items()})
     assert done.returncode == 0, done.stderr
     assert "25.00 *" in done.stderr
     assert f"The report: {tmp_path}/reports/index.html" in done.stderr

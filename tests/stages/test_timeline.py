@@ -1,11 +1,9 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 from tests.filmed_scene import film
+from tests.stages.running import run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 PARAMS = """
 seed: 3
 runs:
@@ -31,12 +29,8 @@ def test_the_stage_scores_a_few_pixels(painted, make_observations, tmp_path: Pat
         costs.parent.mkdir(parents=True)
         kept = [{"iteration": 2, "seconds": 1.5}]
         costs.write_text(json.dumps({"seconds": 2.0, "snapshots": kept}))
-    options["params-file"] = tmp_path / "params.yaml"
-    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    done = subprocess.run(
-        [sys.executable, "stages/timeline.py", *words],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    options["params_file"] = tmp_path / "params.yaml"
+    done = run_script("timeline", **options)
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "metrics.json").read_text())
     assert (content["scene"], content["method"]) == ("hall", "oracle")
