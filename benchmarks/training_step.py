@@ -21,7 +21,7 @@ import argparse
 import json
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -195,8 +195,12 @@ def milliseconds(steps: Iterable[Step]) -> list[float]:
     return [sorted(taken)[len(taken) // 2] for taken in times]
 
 
-def parts_of(fit: AvatarFit, step: Step) -> dict[str, Any]:
-    """Shares of a step's time by part, forward and backward together, and by kind of work."""
+def profiled(fit: AvatarFit, step: Step) -> dict[str, Any]:
+    """Shares of a step's time by kind of work, and by part, forward and backward together.
+
+    Two records: marking parts costs time that belongs to no kind of work.
+    """
+    work = _work(_record(step), STEPS - WARM_UP)
     named: list[tuple[Any, str, str]] = [
         (fit.model, "dress", "networks"), (fit.model, "colors", "networks"),
         (fit, "_transforms", "skinning"), (fit, "_rasterize", "rasterize"),
@@ -207,6 +211,10 @@ def parts_of(fit: AvatarFit, step: Step) -> dict[str, Any]:
     for owner, method, part in named:
         if owner is not None:
             setattr(owner, method, _marked(getattr(owner, method), part))
+    return {"parts": _parts(_record(step)), **work}
+
+
+def _record(step: Step) -> list[FunctionEvent]:
     for index in range(WARM_UP):
         step(index)
     _touch_the_heap()
@@ -214,7 +222,7 @@ def parts_of(fit: AvatarFit, step: Step) -> dict[str, Any]:
         for index in range(WARM_UP, STEPS):
             with record_function(PART + "other"):
                 step(index)
-    return _shares(list(profiler.events()), STEPS - WARM_UP)
+    return list(profiler.events())
 
 
 def _touch_the_heap() -> None:
@@ -235,7 +243,7 @@ def _marked(function: Callable[..., Any], part: str) -> Callable[..., Any]:
     return marked
 
 
-def _shares(events: list[FunctionEvent], steps: int) -> dict[str, Any]:
+def _parts(events: list[FunctionEvent]) -> dict[str, float]:
     """A backward step belongs to the part whose forward call has its sequence number."""
     forward: dict[int, str] = {}
     for event in events:
@@ -245,8 +253,6 @@ def _shares(events: list[FunctionEvent], steps: int) -> dict[str, Any]:
         if event.sequence_nr >= 0 and part and not backward:
             forward.setdefault(event.sequence_nr, part)
     spent: dict[str, float] = defaultdict(float)
-    work: dict[str, float] = defaultdict(float)
-    products = 0.0
     for event in events:
         part = _part(event) or "other"
         above: FunctionEvent | None = event
@@ -258,21 +264,33 @@ def _shares(events: list[FunctionEvent], steps: int) -> dict[str, Any]:
                 part = "skinning"
                 break
             above = above.cpu_parent
+        spent[part] += event.self_cpu_time_total
+    return _shares(spent)
+
+
+def _work(events: list[FunctionEvent], steps: int) -> dict[str, Any]:
+    spent: dict[str, float] = defaultdict(float)
+    products = 0.0
+    for event in events:
         took = event.self_cpu_time_total
-        spent[part] += took
-        work[_kind(event)] += took
+        spent[_kind(event)] += took
         if event.name.startswith("mkldnn::") or event.name.removeprefix("aten::") in PRODUCTS:
             products += took
     total = sum(spent.values())
     return {
-        "parts": {name: round(value / total, 4) for name, value in sorted(spent.items())},
-        "work": {name: round(value / total, 4) for name, value in sorted(work.items())},
+        "work": _shares(spent),
         "matrix products": round(products / total, 4),
         "rasterizer_and_products": round(
-            (work["rasterizer"] + work["posing kernel"] + products) / total, 4
+            (spent["rasterizer"] + spent["posing kernel"] + products) / total, 4
         ),
-        "kernels_and_layers_ms": round(1e-3 * (total - work["other"]) / steps, 2),
+        "kernels_and_layers_ms": round(1e-3 * (total - spent["other"]) / steps, 2),
+        "recorded_ms": round(1e-3 * total / steps, 2),
     }
+
+
+def _shares(spent: Mapping[str, float]) -> dict[str, float]:
+    total = sum(spent.values())
+    return {name: round(value / total, 4) for name, value in sorted(spent.items())}
 
 
 def _part(event: FunctionEvent | None) -> str | None:
@@ -302,7 +320,7 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
     for method in methods:
         fit, step = begin(method, seen, schedule)
         (took,) = milliseconds([step])
-        found = parts_of(fit, step)
+        found = profiled(fit, step)
         apart = {part: round(share * took, 2) for part, share in found["parts"].items()}
         record["methods"][method] = {"ms": round(took, 2), "parts_ms": apart, **found}
     _, shared = begin("paper", seen, schedule)

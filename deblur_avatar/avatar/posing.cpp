@@ -40,6 +40,7 @@ void pose(int64_t poses, int64_t gaussians, int64_t joints, int threads, const f
             std::memset(row, 0, width * sizeof(float));
             for (int64_t j = 0; j < joints; ++j) {
                 const float w = weights[n * joints + j];
+                if (w == 0) continue;  // most joints, where weights are a body's own
                 const float *x = transforms + j * width;
 #pragma omp simd
                 for (int64_t k = 0; k < width; ++k) row[k] += w * x[k];
@@ -64,7 +65,8 @@ void pose(int64_t poses, int64_t gaussians, int64_t joints, int threads, const f
     }
 }
 
-// Gradients of the same; transforms_grad [J, B, 12] is summed from one partial a chunk.
+// Gradients of the same; transforms_grad [J, B, 12] is summed from one partial a chunk. Without
+// weights_grad, which may be null, joints of no weight are passed over.
 void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads,
                    const float *means, const float *spreads, const float *weights,
                    const float *transforms, const float *posed_means_grad,
@@ -82,6 +84,7 @@ void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads
             std::memset(row, 0, width * sizeof(float));
             for (int64_t j = 0; j < joints; ++j) {
                 const float w = weights[n * joints + j];
+                if (w == 0) continue;  // most joints, where weights are a body's own
                 const float *x = transforms + j * width;
 #pragma omp simd
                 for (int64_t k = 0; k < width; ++k) row[k] += w * x[k];
@@ -118,6 +121,7 @@ void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads
             std::memcpy(spreads_grad + 9 * n, ds, sizeof ds);
             for (int64_t j = 0; j < joints; ++j) {
                 const float w = weights[n * joints + j];
+                if (w == 0 && !weights_grad) continue;
                 const float *x = transforms + j * width;
                 float *out = partial + j * width;
                 float sum = 0;
@@ -126,7 +130,7 @@ void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads
                     sum += x[k] * back[k];
                     out[k] += w * back[k];
                 }
-                weights_grad[n * joints + j] = sum;
+                if (weights_grad) weights_grad[n * joints + j] = sum;
             }
         }
     }

@@ -82,25 +82,27 @@ class _Posing(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, means_grad: Tensor, covars_grad: Tensor) -> tuple[Tensor, ...]:
+    def backward(ctx: Any, means_grad: Tensor, covars_grad: Tensor) -> tuple[Tensor | None, ...]:
         inputs = ctx.saved_tensors
         means, spreads, lbs_weights, rows = inputs
         poses, count, joints, _ = ctx.sizes
         library = _library()
         assert library is not None
-        grads = [torch.empty_like(value) for value in (means, spreads, lbs_weights)]
+        grads = [torch.empty_like(means), torch.empty_like(spreads)]
+        wanted = ctx.needs_input_grad[2]  # not where weights are the body's own
+        weights_grad = torch.empty_like(lbs_weights) if wanted else None
         partials = means.new_empty(library.chunks(count), joints, poses, 12)
         rows_grad = torch.empty_like(rows)
         upstream = means_grad.contiguous(), covars_grad.contiguous()
         library.pose_backward(
-            *ctx.sizes, *_pointers(*inputs, *upstream, *grads, partials, rows_grad)
+            *ctx.sizes, *_pointers(*inputs, *upstream, *grads, weights_grad, partials, rows_grad)
         )
         transforms_grad = torch.nn.functional.pad(rows_grad.permute(1, 0, 2, 3), (0, 0, 0, 1))
-        return *grads, transforms_grad
+        return *grads, weights_grad, transforms_grad
 
 
-def _pointers(*tensors: Tensor) -> list[ctypes.c_void_p]:
-    return [ctypes.c_void_p(tensor.data_ptr()) for tensor in tensors]
+def _pointers(*tensors: Tensor | None) -> list[ctypes.c_void_p]:
+    return [ctypes.c_void_p(None if t is None else t.data_ptr()) for t in tensors]
 
 
 @cache

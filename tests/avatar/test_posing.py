@@ -44,6 +44,21 @@ def test_the_kernel_agrees_with_its_slow_twin_in_value_and_gradient(count, poses
         torch.testing.assert_close(fast.double(), slow, rtol=1e-4, atol=1e-5 * size)
 
 
+@pytest.mark.parametrize("poses", [1, 9])
+def test_joints_of_no_weight_are_passed_over_without_a_trace(poses):
+    means, spreads, weights, transforms = scene(300, poses)
+    few = (weights * (weights > 0.06)).detach()
+    few[7] = 0  # of no joint at all
+    assert (few == 0).float().mean() > 0.5
+    learned = few.clone().requires_grad_()
+    every = with_gradients(pose_gaussians, [means, spreads, learned, transforms])
+    own = with_gradients(lambda *x: pose_gaussians(*x[:2], few, x[2]), [means, spreads, transforms])
+    for value, wanted in zip(own, [*every[:4], every[5]], strict=True):
+        assert torch.equal(value, wanted)
+    slow = with_gradients(pose_gaussians_reference, [means, spreads, learned, transforms])
+    torch.testing.assert_close(every[4], slow[4], rtol=1e-3, atol=1e-4)
+
+
 def test_it_is_the_kernel_that_float32_tensors_are_posed_by(monkeypatch):
     assert posing._library() is not None
     monkeypatch.setattr(posing, "pose_gaussians_reference", None)
