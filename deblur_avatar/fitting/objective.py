@@ -97,7 +97,7 @@ class Objective:
         return losses.perceptual(self._lpips, image, target.image, target.box)
 
     def evenness(self) -> dict[str, Tensor]:
-        """Gaussians are like their neighbours, the more so the less of the body is seen."""
+        """Gaussians are like their neighbours, by the square of what is hidden of the body."""
         weights, gaussians = self._params.losses, self._model.gaussians
         if weights.even_colors == weights.even_shapes == weights.even_heights == 0:
             return {}
@@ -110,7 +110,7 @@ class Objective:
             "even_heights": self._feet.heights(gaussians.means)[:, None] / HEIGHT,
         }
         return {
-            name: self._hidden * getattr(weights, name) * losses.unevenness(value, self.near())
+            name: self._hidden**2 * getattr(weights, name) * losses.unevenness(value, self.near())
             for name, value in values.items()
         }
 

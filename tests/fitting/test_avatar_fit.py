@@ -662,7 +662,7 @@ def test_likeness_is_weighted_and_counts_by_what_is_hidden(begin, start, sharpen
     assert again["even_heights"] == pytest.approx(2 * terms["even_heights"], rel=1e-5)
     assert again["even_shapes"] == pytest.approx(terms["even_shapes"], rel=1e-5)
     shown = begin(params=params, seen=sharpened(hidden=0.25)).step(1, "sharp", "mean")
-    assert shown["even_shapes"] == pytest.approx(terms["even_shapes"] / 2, rel=1e-5)
+    assert shown["even_shapes"] == pytest.approx(terms["even_shapes"] / 4, rel=1e-5)
 
 
 def test_steps_towards_the_camera_are_held_back_and_steps_across_are_not(begin, start):
