@@ -88,6 +88,10 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
     try:
         with _opened(path) as container:
             stream = container.streams.video[0]
+            if stream.codec_context is None:
+                raise ArtifactError(
+                    f"{path} is in a format that is not known; convert it to H.264 in an mp4 file"
+                )
             stream.thread_type = "AUTO"
             stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
             for index, frame in enumerate(container.decode(stream)):

@@ -481,6 +481,7 @@ def _films(good: bytes) -> Iterator[bytes]:
     yield b"RIFF\x24\0\0\0WAVEfmt \x10\0\0\0\1\0\1\0\x40\x1f\0\0\x40\x1f\0\0\1\0\x08\0data\0\0\0\0"
     yield b"1\n00:00:00,000 --> 00:00:01,000\nhello\n"
     yield good.replace(b"28", b"\xff\xfe").replace(b"focal", b"f\xe9cal")
+    yield good.replace(b"avc1", b"zzz1").replace(b"V_MPEG4/ISO/AVC", b"V_MPEG9/ISO/AVC")
     yield _tall(2, 6000)
 
 

@@ -103,6 +103,13 @@ def test_a_video_that_names_another_file_is_refused(tmp_path):
         read_video(tmp_path / "a.mp4", 0, None, 100)
 
 
+def test_a_video_of_an_unknown_format_is_refused(tmp_path):
+    path = write_video(tmp_path / "film.mp4", [picture(index, 16, 16) for index in range(3)])
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"zzz1"))
+    with pytest.raises(ArtifactError, match=r"film\.mp4 is in a format that is not known; convert"):
+        read_video(path, 0, None, 1080)
+
+
 def test_a_very_tall_picture_keeps_a_column():
     assert shrunk(np.zeros((6000, 2, 3), np.uint8), 8).shape == (8, 1, 3)
 
