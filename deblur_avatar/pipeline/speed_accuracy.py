@@ -8,7 +8,7 @@ saw what a method never sees and take no part.
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -145,8 +145,12 @@ def rows_over_time(timelines: Mapping[str, Results]) -> list[Row]:
 
 
 def chart(template: str, rows: Sequence[Row]) -> dict[str, Any]:
-    """A Vega-Lite specification of its own: one of the templates with its rows inside."""
+    """A Vega-Lite specification of its own: one of the templates with its rows inside.
+
+    Its legend names the methods that are there.
+    """
     content = json.loads((Path(__file__).parent / template).read_text())
+    _keep_colors(content, {str(row["method"]) for row in rows})
     return content | {"data": {"values": list(rows)}}
 
 
@@ -159,6 +163,18 @@ def drawn_png(specification: Mapping[str, Any]) -> bytes:
     """The chart as PNG on white."""
     on_white = {**specification, "background": "white"}
     return vl_convert.vegalite_to_png(on_white, vl_version=VERSION, scale=PIXELS_A_POINT)
+
+
+def _keep_colors(node: Any, methods: Set[str]) -> None:
+    """Take the colours of other methods out of a specification's scales."""
+    if isinstance(node, dict) and node.get("field") == "method" and "scale" in node:
+        scale = node["scale"]
+        kept = [pair for pair in zip(scale["domain"], scale["range"], strict=True)
+                if pair[0] in methods]  # fmt: skip
+        scale["domain"], scale["range"] = [name for name, _ in kept], [color for _, color in kept]
+    for child in node.values() if isinstance(node, dict) else node:
+        if isinstance(child, dict | list):
+            _keep_colors(child, methods)
 
 
 def _curve(timeline: Mapping[str, Any], measure: str) -> list[tuple[float, float]]:

@@ -95,6 +95,8 @@ def test_a_curve_has_a_row_for_each_snapshot_and_quality(studio):
     picture = drawn(chart(OVER_TIME, rows))
     assert ">novel views<" in picture
     assert ">validation frames<" in picture
+    assert ">paper<" in picture
+    assert ">released<" not in picture  # a legend of who is there
     untrue = {"mine": {"lean": timeline((20.0, 22.0))}}
     for point in untrue["mine"]["lean"]["points"]:
         point["image"] = None
