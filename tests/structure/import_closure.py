@@ -79,7 +79,7 @@ def own_pipelines(root: Path = ROOT) -> list[Path]:
     """The pipelines written by hand: the root's, those that gather experiments, the suite's."""
     made = {folder / PIPELINE for folder in experiments(root)}
     gathering = sorted(set((root / "experiments").glob(f"*/{PIPELINE}")) - made)
-    return [root / PIPELINE, *gathering, *(root / "stability").glob(PIPELINE)]
+    return [root / PIPELINE, *gathering, *sorted((root / "stability").rglob(PIPELINE))]
 
 
 def write_dependencies(root: Path = ROOT, path: Path | None = None) -> list[str]:
