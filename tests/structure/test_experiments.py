@@ -125,7 +125,8 @@ def test_a_missing_body_is_one_clear_line(tmp_path, model):
 
 def test_pipelines_that_gather_experiments_depend_on_the_code_they_run():
     gathering = own_pipelines()[1:]
-    assert gathering == [ABLATIONS / PIPELINE, ROOT / "stability" / PIPELINE]
+    suite = [ROOT / "stability" / method for method in ("blind", "", "lean", "paper")]
+    assert gathering == [folder / PIPELINE for folder in (ABLATIONS, *suite)]
     for path in gathering:
         for stage in resolved(path.parent).values():
             assert [d for d in stage["deps"] if is_code(d)] == code_dependencies(script_of(stage))
