@@ -41,7 +41,7 @@ stability: export PATH := $(CURDIR)/$(BIN):$(PATH)
 stability: export OMP_NUM_THREADS := 1
 stability: $(STAMP)
 	dvc repro stability/dvc.yaml:stability_scene
-	printf '%s\n' lean paper blind | xargs -P 2 -I{} dvc --wait-for-lock repro stability/{}/dvc.yaml
+	printf '%s\n' lean paper blind | xargs -P 2 -I{} dvc --wait-for-lock repro -s stability/{}/dvc.yaml
 	dvc repro stability/dvc.yaml
 
 test: $(STAMP)
