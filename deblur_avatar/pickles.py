@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,7 @@ def load_npy(path: Path) -> NDArray[Any] | dict[str, Any]:
     return _dictionary(content, path)
 
 
-def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
+def _read(path: Path, reader: Callable[[io.BufferedIOBase], Any]) -> Any:
     try:
         size = path.stat().st_size
         if size > MOST_BYTES:
@@ -105,7 +105,7 @@ def _read(path: Path, reader: Callable[[BinaryIO], Any]) -> Any:
         ) from None
 
 
-def check_structure(file: BinaryIO) -> None:
+def check_structure(file: io.BufferedIOBase) -> None:
     """Walk over a pickle without making anything of it; the file is left after it.
 
     Python would hash a tuple in a tuple in a tuple until its own stack ends, and the process with
@@ -118,7 +118,7 @@ def check_structure(file: BinaryIO) -> None:
     stack: list[_Outline | None] = []
     memo: dict[int, _Outline] = {}
     hashed = 0
-    for count, (operation, argument, _) in enumerate(pickletools.genops(file)):
+    for count, (operation, argument, _) in enumerate(pickletools.genops(cast("IO[bytes]", file))):
         hashed += _follow(operation, argument, stack, memo)
         if hashed > MOST_OBJECTS:
             raise ValueError(f"its keys unfold to over {MOST_OBJECTS} objects")
@@ -127,7 +127,7 @@ def check_structure(file: BinaryIO) -> None:
             raise ValueError(f"an object is numbered {argument} among {count}")
 
 
-def _unpickled(file: BinaryIO) -> Any:
+def _unpickled(file: io.BufferedIOBase) -> Any:
     begin = file.tell()
     check_structure(file)
     file.seek(begin)
@@ -187,7 +187,7 @@ _HASHES = ("ADDITEMS", "FROZENSET", "REDUCE", "NEWOBJ", "NEWOBJ_EX", "OBJ", "INS
 _CHANGES = ("APPEND", "APPENDS", "SETITEM", "SETITEMS", "ADDITEMS", "BUILD")
 
 
-def _npy_content(file: BinaryIO) -> Any:
+def _npy_content(file: io.BufferedIOBase) -> Any:
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(file)

@@ -18,7 +18,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -92,7 +92,7 @@ def load_pth(path: Path, wanted: Collection[str]) -> dict[str, Tensor]:
         raise ArtifactError(f"{path} is not a readable .pth file: {error!r}") from None
 
 
-def _from_archive(file: BinaryIO, wanted: Collection[str]) -> dict[str, Tensor]:
+def _from_archive(file: io.BufferedIOBase, wanted: Collection[str]) -> dict[str, Tensor]:
     length = os.fstat(file.fileno()).st_size
     with zipfile.ZipFile(file) as archive:
         # Below one folder, which has the name of the file that was saved first.
@@ -111,7 +111,7 @@ def _from_archive(file: BinaryIO, wanted: Collection[str]) -> dict[str, Tensor]:
         return _tensors(layouts, wanted, lambda s: content(f"data/{s.key}", s.size))
 
 
-def _from_sequence(file: BinaryIO, wanted: Collection[str]) -> dict[str, Tensor]:
+def _from_sequence(file: io.BufferedIOBase, wanted: Collection[str]) -> dict[str, Tensor]:
     start = io.BytesIO(file.read(MOST_STRUCTURE))
     if _unpickled(start)[0] != MAGIC or _unpickled(start)[0] != VERSION:
         raise ValueError("it is neither a zip archive nor of torch's older form")
@@ -173,7 +173,7 @@ def _checked(layout: _Layout) -> _Layout:
     return layout
 
 
-def _unpickled(file: BinaryIO) -> tuple[Any, dict[str, _Storage]]:
+def _unpickled(file: io.BufferedIOBase) -> tuple[Any, dict[str, _Storage]]:
     """The next pickle's content and the storages that it names; the file is left after it."""
     begin = file.tell()
     check_structure(file)
@@ -191,7 +191,7 @@ class _Unpickler(pickle.Unpickler):
     What it hands to a file cannot be changed by it: methods, dtypes and `OrderedDict`.
     """
 
-    def __init__(self, file: BinaryIO, *, encoding: str) -> None:
+    def __init__(self, file: io.BufferedIOBase, *, encoding: str) -> None:
         super().__init__(file, encoding=encoding)
         self.storages: dict[str, _Storage] = {}
 
