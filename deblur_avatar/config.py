@@ -6,6 +6,8 @@ out of range are errors that name the key. One class a section, in the order of 
 
 import os
 import re
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -588,9 +590,7 @@ def read_yaml(path: Path) -> Any:
             text = file.read(MOST_BYTES + 1)
         if len(text) > MOST_BYTES:
             raise ConfigError(f"{path} has over {MOST_BYTES >> 10} kB; is it a parameter file?")
-        # Nodes first: a few lines of aliases or merges can unfold to any size.
-        _unfolded(YAML(typ="safe", pure=True).compose(text), {}, 0)
-        return YAML(typ="safe", pure=True).load(text)
+        return deepcopy(_yaml(text))
     except ConfigError:
         raise
     except OSError as error:
@@ -598,6 +598,15 @@ def read_yaml(path: Path) -> Any:
     except Exception as error:
         # Damaged YAML raises nearly anything from inside ruamel.yaml: a date without a month, say.
         raise ConfigError(f"{path} is not YAML: {error or repr(error)}") from None
+
+
+@lru_cache(maxsize=8)  # a stage reads its parameters section by section
+def _yaml(text: bytes) -> Any:
+    """What YAML text holds, once its nodes show that it does not unfold to any size."""
+    yaml = YAML(typ="safe", pure=True)
+    node = yaml.compose(text)
+    _unfolded(node, {}, 0)
+    return None if node is None else yaml.constructor.construct_document(node)
 
 
 def _unfolded(node: Any, known: dict[int, int | None], depth: int) -> int:

@@ -10,7 +10,6 @@ import dataclasses
 import json
 import math
 import shutil
-import tempfile
 import types
 import typing
 from pathlib import Path
@@ -74,9 +73,10 @@ class Artifact:
         folder = Path(folder)
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
-            scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+            scratch = folder.with_name(f".{folder.name}.scratch")
+            shutil.rmtree(scratch, ignore_errors=True)  # of a process that was killed
+            scratch.mkdir()
             try:
-                scratch.chmod(0o755)
                 self._write(scratch)
                 if folder.exists():
                     shutil.rmtree(folder)

@@ -38,6 +38,16 @@ def test_a_mistake_is_named_with_its_key(tmp_path, text, message):
         load_params(written(tmp_path, text), "blur", BlurParams)
 
 
+def test_a_file_is_read_again_when_it_changes_and_what_came_of_it_is_ones_own(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text("a: {b: [1, 2]}\n")
+    first = config.read_yaml(path)
+    first["a"]["b"].append(3)
+    assert config.read_yaml(path) == {"a": {"b": [1, 2]}}
+    path.write_text("a: 4\n")
+    assert config.read_yaml(path) == {"a": 4}
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigError, match="cannot read .*nowhere.yaml: No such file"):
         load_params(tmp_path / "nowhere.yaml", "blur", BlurParams)

@@ -89,6 +89,20 @@ def test_saving_again_replaces_the_whole_folder(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
 
 
+def test_what_a_killed_process_left_is_gone_with_the_next_save(tmp_path, monkeypatch):
+    def killed(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deblur_avatar.storage.save_file", killed)
+    monkeypatch.setattr("shutil.rmtree", lambda *arguments, **options: None)
+    with pytest.raises(KeyboardInterrupt):
+        example().save(tmp_path / "x")
+    monkeypatch.undo()
+    assert [p.name for p in tmp_path.iterdir()] != []
+    example().save(tmp_path / "x")
+    assert [p.name for p in tmp_path.iterdir()] == ["x"]
+
+
 def test_a_failed_save_leaves_the_old_artifact_whole(tmp_path, monkeypatch):
     example(name="old").save(tmp_path / "x")
 

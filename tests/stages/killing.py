@@ -21,42 +21,59 @@ from deblur_avatar.fitting import avatar_fit, run_folder
 from tests.stages.running import fitting_options, script_of
 
 
-def child(script: types.ModuleType, stage: str, folder: Path, limit_s: float | None) -> int:
-    """The exit status of one child, which is killed after `limit_s`."""
-    end = time.monotonic() + (float("inf") if limit_s is None else limit_s)
+def child(
+    script: types.ModuleType, stage: str, folder: Path, stop: int | None = None, wait_s: float = 0
+) -> tuple[int, int]:
+    """The exit status of one child that is killed `wait_s` after its `stop`-th call; its calls.
+
+    A moment is a number of calls of Python functions, not a time: how far a child comes is the same
+    on a busy machine. The wait lets it fall anywhere, into the middle of a write too.
+    """
+    heard, tell = os.pipe()
     pid = os.fork()
     if pid == 0:
+        calls = 0
+
+        def count(frame: types.FrameType, event: str, argument: object) -> None:
+            nonlocal calls
+            calls += event == "call"
+            if calls == stop:
+                sys.setprofile(None)
+                os.write(tell, str(calls).encode())
+
+        sys.setprofile(count)
         try:
             script.main(**fitting_options(stage, folder, folder))
         except BaseException:
             traceback.print_exc()
             os._exit(1)
+        os.write(tell, str(calls).encode())
         os._exit(0)
-    while True:
-        ended, status = os.waitpid(pid, os.WNOHANG)
-        if ended:
-            return os.waitstatus_to_exitcode(status)
-        if time.monotonic() > end:
-            os.kill(pid, signal.SIGKILL)
-            return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        time.sleep(0.002)
+    os.close(tell)
+    said = os.read(heard, 64)  # nothing, if the child failed
+    if stop is not None and said == str(stop).encode():
+        time.sleep(wait_s)
+        os.kill(pid, signal.SIGKILL)
+    status = os.waitpid(pid, 0)[1]
+    os.close(heard)
+    return os.waitstatus_to_exitcode(status), int(said or 0)
 
 
 def main(stage: str, whole: Path, stopped: Path, kills: int, seed: int) -> None:
-    """Print the exit status of both last runs, how many were killed, how many had saved."""
+    """Print the exit status of both last runs, and after how many children something was kept."""
     torch.set_num_threads(1)
     avatar_fit.NEIGHBOUR_REFRESH = 3
     run_folder.SAVE_EVERY_S = 0.0
     script, draw = script_of(stage), random.Random(seed)
-    begin = time.monotonic()
-    first = child(script, stage, whole, None)
-    pace = time.monotonic() - begin
-    killed, saved = 0, 0
-    for _ in range(kills):
-        killed += child(script, stage, stopped, 0.6 * pace * draw.random()) == -signal.SIGKILL
+    first, calls = child(script, stage, whole)
+    killed, saved, status = 0, 0, first
+    while killed < kills and status in (0, -signal.SIGKILL):
+        stop, wait_s = 1 + draw.randrange(calls), 0.003 * draw.random()
+        status, _ = child(script, stage, stopped, stop, wait_s)
+        killed += status == -signal.SIGKILL
         saved += any(stopped.glob(f".{stage}.unfinished/after_*"))
-    last = child(script, stage, stopped, None) if kills else first
-    sys.stdout.write(f"{first} {last} {killed} {saved}\n")
+    last = child(script, stage, stopped)[0] if kills and killed == kills else status
+    sys.stdout.write(f"{first} {last} {saved}\n")
 
 
 if __name__ == "__main__":
