@@ -4,6 +4,7 @@ from pathlib import Path
 
 from deblur_avatar import run
 from deblur_avatar.config import MethodParams, ScheduleParams, StartParams, load_params
+from deblur_avatar.pipeline.stability_fit import Bench
 from deblur_avatar.pipeline.stability_params import StabilitySceneParams
 from deblur_avatar.pipeline.stability_scene import film_scene, measure_ceiling
 
@@ -14,10 +15,7 @@ def main(scene: str, out: Path, params_file: Path) -> None:
     seed = load_params(params_file, "seed", int)
     with run.stage("stability_scene", scene, seed) as context:
         body, clip, reference = film_scene(params, context.generator)
-        ceiling = measure_ceiling(
-            clip,
-            reference,
-            body,
+        bench = Bench(
             load_params(params_file, "starts.lean", StartParams),
             load_params(params_file, "methods.ceiling", MethodParams),
             load_params(params_file, "schedules.suite", ScheduleParams),
@@ -25,6 +23,8 @@ def main(scene: str, out: Path, params_file: Path) -> None:
             seed,
             context.device,
         )
+        draws = load_params(params_file, "ceiling_draws", int)
+        ceiling = measure_ceiling(clip, reference, body, bench, draws)
         clip.save(out / "clip")
         reference.save(out / "reference")
         run.write_json(out / "ceiling.json", ceiling)

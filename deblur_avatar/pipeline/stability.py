@@ -9,27 +9,32 @@ import logging
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from deblur_avatar import run
 from deblur_avatar.artifacts import Clip, Observations, Reference
 from deblur_avatar.avatar.capsule_body import capsule_body
-from deblur_avatar.config import MethodParams, ScheduleParams, StartParams
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.check import check_scene
-from deblur_avatar.pipeline.stability_fit import fit_method, lengthened
+from deblur_avatar.pipeline.stability_fit import Bench, fit_method, lengthened
 from deblur_avatar.pipeline.stability_input import prepare
-from deblur_avatar.pipeline.stability_measures import Measured, measure
+from deblur_avatar.pipeline.stability_measures import Measured, averaged, measure
 from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams
 
 logger = logging.getLogger(__name__)
 
-FIT_KEYS = ("budget", "seed", "estimated_shutter", "exposure_gain", "start_noise", "needles")
+FIT_KEYS = (
+    "budget",
+    "seed",
+    "draws",
+    "estimated_shutter",
+    "exposure_gain",
+    "start_noise",
+    "needles",
+)
 PICTURES = ("blurred", "render", "truth")
 
 Film = Callable[[str], tuple[Clip, Reference]]
@@ -58,28 +63,8 @@ def film_of(folder: Path) -> Film:
     )
 
 
-def endure(
-    mode: ModeParams,
-    start: StartParams,
-    method: MethodParams,
-    schedule: ScheduleParams,
-    film: Film,
-    *,
-    validation_stride: int,
-    seed: int,
-    device: torch.device,
-) -> Item:
-    """Go through all severities of a mode.
-
-    Args:
-        mode: what goes wrong.
-        start: the method's avatar.
-        method: what follows the warm-up.
-        schedule: of the suite.
-        film: gives the clip and the truth of a scene by name.
-        validation_stride: as `preprocess` wants it.
-        seed: of the suite; damage and fits draw from it, alike for every method.
-        device: to fit on.
+def endure(mode: ModeParams, bench: Bench, film: Film) -> Item:
+    """Go through all severities of a mode; `film` gives the clip and the truth of a scene by name.
 
     Raises:
         ConfigError: if a severity asks for something that there is not.
@@ -88,12 +73,10 @@ def endure(
     worst: Measured | None = None
     for label, severity in mode.severities.items():
         _check(label, severity)
-        if "estimated_shutter" in severity.fit and method.trajectory.motion != "clip":
+        if "estimated_shutter" in severity.fit and bench.method.trajectory.motion != "clip":
             rows[label] = {"skipped": "this method has no shutter to estimate"}
             continue
-        row, measured = _attempt(
-            severity, start, method, schedule, film, validation_stride, seed, device
-        )
+        row, measured = _attempt(severity, bench, film)
         rows[label] = {"scene": severity.scene, **row}
         logger.info("%s: %s", label, _shown(row))
         if measured is not None and (
@@ -110,57 +93,53 @@ def _check(label: str, severity: SeverityParams) -> None:
 
 
 def _attempt(
-    severity: SeverityParams,
-    start: StartParams,
-    method: MethodParams,
-    schedule: ScheduleParams,
-    film: Film,
-    validation_stride: int,
-    seed: int,
-    device: torch.device,
+    severity: SeverityParams, bench: Bench, film: Film
 ) -> tuple[dict[str, Any], Measured | None]:
-    """One severity: what was measured, or how it ended instead."""
+    """One severity: what was measured, and its worst draw, or how it ended instead."""
     clip, reference = film(severity.scene)
     row: dict[str, Any] = {"refused": None, "crashed": None, "flags": []}
     with _warnings() as heard:
         try:
             prepared = prepare(
-                clip, capsule_body(), severity.damage, schedule.image_height, validation_stride,
-                seed,
+                clip, capsule_body(), severity.damage, bench.schedule.image_height,
+                bench.validation_stride, bench.seed,
             )  # fmt: skip
             row["flags"] = _flags(prepared.blurred, prepared.metrics)
-            fitted = fit_method(
-                prepared.blurred,
-                _begun(start, severity.fit),
-                _changed(method, severity.fit),
-                lengthened(schedule, severity.fit.get("budget", 1.0)),
-                seed=seed + int(severity.fit.get("seed", 0)),
-                needles=severity.fit.get("needles", 0.0),
-                device=device,
+            chosen, first = _changed(bench, severity.fit), int(severity.fit.get("seed", 0))
+            fits = (
+                fit_method(
+                    prepared.blurred, chosen, draw=draw, needles=severity.fit.get("needles", 0.0)
+                )
+                for draw in range(first, first + int(severity.fit.get("draws", 1)))
             )
-            measured = measure(prepared.blurred, reference, fitted, device)
+            drawn = [measure(prepared.blurred, reference, one, bench.device) for one in fits]
         except (ConfigError, ArtifactError) as error:
             return {**row, "refused": f"{type(error).__name__}: {error}", "warnings": heard}, None
         except Exception as error:  # a crash is what this suite looks for
             logger.warning("%s", "".join(traceback.format_exception(error)))
             return {**row, "crashed": f"{type(error).__name__}: {error}", "warnings": heard}, None
-    return {**row, **measured.numbers, "warnings": heard}, measured
+    told = list(dict.fromkeys(heard))  # each draw says the same again
+    worst = min(drawn, key=lambda measured: measured.numbers["score"])
+    return {**row, **averaged([m.numbers for m in drawn]), "warnings": told}, worst
 
 
-def _begun(start: StartParams, fit: Mapping[str, float]) -> StartParams:
-    """The start as a severity wants it."""
-    return start.model_copy(update={"exposure_gain": "frame"}) if "exposure_gain" in fit else start
-
-
-def _changed(method: MethodParams, fit: Mapping[str, float]) -> MethodParams:
-    """The method as a severity wants it."""
+def _changed(bench: Bench, fit: Mapping[str, float]) -> Bench:
+    """Start, method and schedule as a severity wants them."""
+    start, method = bench.start, bench.method
     changes: dict[str, Any] = {}
+    if "exposure_gain" in fit:
+        start = start.model_copy(update={"exposure_gain": "frame"})
     if "estimated_shutter" in fit:
         changes["shutter"] = "estimated"
     if "start_noise" in fit:
         changes["start_noise"] = fit["start_noise"]
     trajectory = method.trajectory.model_copy(update=changes)
-    return method.model_copy(update={"trajectory": trajectory})
+    return replace(
+        bench,
+        start=start,
+        method=method.model_copy(update={"trajectory": trajectory}),
+        schedule=lengthened(bench.schedule, fit.get("budget", 1.0)),
+    )
 
 
 def _flags(observations: Observations, metrics: Mapping[str, Any]) -> list[str]:

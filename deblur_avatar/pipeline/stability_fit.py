@@ -28,31 +28,38 @@ class Fitted:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Bench:
+    """What all fits of one method share.
+
+    `start` is what the avatar is made of, `method` what follows the warm-up; `validation_stride` is
+    as `preprocess` wants it; damage and fits draw from `seed`, alike for every method.
+    """
+
+    start: StartParams
+    method: MethodParams
+    schedule: ScheduleParams
+    validation_stride: int
+    seed: int
+    device: torch.device
+
+
 def fit_method(
-    observations: Observations,
-    start: StartParams,
-    method: MethodParams,
-    schedule: ScheduleParams,
-    *,
-    seed: int,
-    needles: float,
-    device: torch.device,
+    observations: Observations, bench: Bench, *, draw: int = 0, needles: float = 0.0
 ) -> Fitted:
     """Fit as the three stages do; every fit of the suite draws alike, so that they compare.
 
     Args:
         observations: blurred, or sharp with exact poses.
-        start: what the avatar is made of.
-        method: what follows the warm-up.
-        schedule: of the suite.
-        seed: of all draws.
+        bench: how and where.
+        draw: number of the fit, of several that differ in their draws only.
         needles: share of the Gaussians that become infinitely thin after the warm-up.
-        device: to fit on.
 
     Raises:
         ConfigError, ArtifactError: as the stages do.
     """
-    drawn = run.derive_seed(seed, "stability")
+    start, method, schedule, device = bench.start, bench.method, bench.schedule, bench.device
+    drawn = run.derive_seed(bench.seed + draw, "stability")
     torch.manual_seed(drawn)  # third parties draw from it
     generator = torch.Generator(device=device).manual_seed(drawn)
     begin = time.perf_counter()

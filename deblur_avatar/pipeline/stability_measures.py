@@ -7,7 +7,8 @@ are discs around joints of the true pose; silhouettes are where coverage exceeds
 import dataclasses
 import hashlib
 import math
-from collections.abc import Sequence
+import statistics
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,6 +82,23 @@ def measure(
         "digest": _digest(avatar),
     }
     return Measured(numbers, _worst(observations, shown))
+
+
+def averaged(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The means of what several draws of one fit measured; what is no number is the first's.
+
+    `scores` keeps every draw's score; a number that one draw could not measure is None.
+    """
+    row = dict(draws[0])
+    for key, value in row.items():
+        values = [draw[key] for draw in draws]
+        if isinstance(value, bool):
+            row[key] = all(values)
+        elif any(v is None for v in values):
+            row[key] = None
+        elif isinstance(value, int | float) and len(draws) > 1:
+            row[key] = statistics.fmean(values)
+    return row | {"scores": [draw["score"] for draw in draws]}
 
 
 def _crop_scores(

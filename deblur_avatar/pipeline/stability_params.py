@@ -25,8 +25,9 @@ class SeverityParams(Params):
     """How bad one failure is: which scene, what is done to it, and how fitting is disturbed.
 
     `damage` names functions of `stability_damage` with their amounts, applied in order. `fit` may
-    hold `budget` (times the schedule), `seed` (another draw), `estimated_shutter`, `exposure_gain`,
-    `start_noise` (radians, instead of the method's) and `needles` (share of the Gaussians).
+    hold `budget` (times the schedule), `seed` (another draw), `draws` (how many, from that one on,
+    are averaged), `estimated_shutter`, `exposure_gain`, `start_noise` (radians, instead of the
+    method's) and `needles` (share of the Gaussians).
     """
 
     scene: str

@@ -37,7 +37,7 @@ class Verdict:
 
     passed: bool
     sentence: str
-    severities: dict[str, dict[str, Any]]  # score, passed (None: does not apply), checks
+    severities: dict[str, dict[str, Any]]  # score, draws, passed (None: does not apply), checks
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,7 @@ def _judged(checks: Sequence[Check], case: Case, severity: SeverityParams) -> di
         "passed": passed,
         "blind": case.blind.get("score"),
         "ceiling": case.ceiling["score"],
+        "draws": case.row.get("scores", []),
         "refused": case.row.get("refused"),
         "failed": [check.sentence for check in checks if not check.passed],
         "checks": [vars(check) | {"passed": check.passed} for check in checks],
@@ -235,6 +236,9 @@ def _cell(entry: Mapping[str, Any]) -> dict[str, Any]:
                      for c in entry["checks"])  # fmt: skip
     if entry["refused"]:
         hint = f"{entry['refused']}; {hint}"
+    if len(entry["draws"]) > 1:
+        deviation = statistics.stdev(entry["draws"])
+        hint = f"mean of {len(entry['draws'])} draws, \u00b1 {deviation:.2f}; {hint}"
     hue = 120 if passed else 4
     mark = "" if passed else " \u2717"
     return {"text": text + mark, "colour": f"hsl({hue}, 55%, {lightness:.0f}%)", "hint": hint}

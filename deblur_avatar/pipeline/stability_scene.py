@@ -15,11 +15,10 @@ from jaxtyping import Float32
 
 from deblur_avatar.artifacts import Body, Clip, Reference
 from deblur_avatar.avatar.capsule_body import capsule_body
-from deblur_avatar.config import MethodParams, ScheduleParams, StartParams
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.pipeline.stability_fit import fit_method
+from deblur_avatar.pipeline.stability_fit import Bench, fit_method
 from deblur_avatar.pipeline.stability_input import prepare
-from deblur_avatar.pipeline.stability_measures import measure
+from deblur_avatar.pipeline.stability_measures import averaged, measure
 from deblur_avatar.pipeline.stability_motions import stability_move
 from deblur_avatar.pipeline.stability_params import StabilitySceneParams
 from deblur_avatar.sources.studio.motion import Moves
@@ -69,20 +68,16 @@ def film_scene(
 
 
 def measure_ceiling(
-    clip: Clip,
-    reference: Reference,
-    body: Body,
-    start: StartParams,
-    method: MethodParams,
-    schedule: ScheduleParams,
-    validation_stride: int,
-    seed: int,
-    device: torch.device,
+    clip: Clip, reference: Reference, body: Body, bench: Bench, draws: int
 ) -> dict[str, Any]:
-    """What sharp frames and exact poses give on this scene: the upper bound of its modes."""
-    prepared = prepare(clip, body, {}, schedule.image_height, validation_stride, seed)
-    assert prepared.exact is not None  # the studio knows all
-    fitted = fit_method(
-        prepared.exact, start, method, schedule, seed=seed, needles=0.0, device=device
+    """What sharp frames and exact poses give on this scene: the upper bound of its modes.
+
+    Means over so many draws.
+    """
+    prepared = prepare(
+        clip, body, {}, bench.schedule.image_height, bench.validation_stride, bench.seed
     )
-    return measure(prepared.blurred, reference, fitted, device).numbers
+    assert prepared.exact is not None  # the studio knows all
+    fits = (fit_method(prepared.exact, bench, draw=draw) for draw in range(draws))
+    measured = [measure(prepared.blurred, reference, fitted, bench.device) for fitted in fits]
+    return averaged([one.numbers for one in measured])

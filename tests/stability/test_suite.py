@@ -16,6 +16,8 @@ from deblur_avatar.config import (
 )
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.pipeline.stability import PICTURES, endure, film_of
+from deblur_avatar.pipeline.stability_fit import Bench
+from deblur_avatar.pipeline.stability_measures import averaged
 from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams, StabilitySceneParams
 from deblur_avatar.pipeline.stability_report import report_stability
 from deblur_avatar.pipeline.stability_scene import film_scene, measure_ceiling
@@ -58,13 +60,17 @@ def scene_params(**changes):
     return scene.model_copy(update={"clip": clip})
 
 
+def bench(start, method):
+    params = load_params(PARAMS, f"methods.{method}", MethodParams)
+    return Bench(start, params, SCHEDULE, validation_stride=10, seed=0, device=CPU)
+
+
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory, modes, start):
     """All of the suite's stages in one process."""
     folder = tmp_path_factory.mktemp("suite")
     body, clip, reference = film_scene(scene_params(), torch.Generator().manual_seed(0))
-    ceiling = load_params(PARAMS, "methods.ceiling", MethodParams)
-    numbers = measure_ceiling(clip, reference, body, start, ceiling, SCHEDULE, 10, 0, CPU)
+    numbers = measure_ceiling(clip, reference, body, bench(start, "ceiling"), draws=2)
     clip.save(folder / "scene/turn/clip")
     reference.save(folder / "scene/turn/reference")
     (folder / "scene/turn/ceiling.json").write_text(json.dumps(numbers))
@@ -75,10 +81,7 @@ def suite(tmp_path_factory, modes, start):
 
 
 def _run(folder, mode, method, start):
-    return endure(
-        mode, start, load_params(PARAMS, f"methods.{method}", MethodParams), SCHEDULE,
-        film_of(folder / "scene"), validation_stride=10, seed=0, device=CPU,
-    )  # fmt: skip
+    return endure(mode, bench(start, method), film_of(folder / "scene"))
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +167,30 @@ def test_a_crash_is_kept_as_a_finding(suite, start, monkeypatch, modes, caplog):
         item = _run(suite, modes["seeds"], "lean", start)
     assert item.rows["seed 0"]["crashed"] == "IndexError: off the end"
     assert item.worst is None
+
+
+def test_several_draws_are_averaged_and_the_worst_one_is_shown(suite, start, modes, caplog):
+    def severity(**fit):
+        return SeverityParams(scene="turn", damage={}, fit=fit)
+
+    asked = {
+        "1": severity(seed=1.0),
+        "2": severity(seed=2.0),
+        "both": severity(seed=1.0, draws=2.0),
+    }
+    with caplog.at_level(logging.CRITICAL):
+        item = _run(suite, ModeParams(title="x", severities=asked), "lean", start)
+    first, second, both = item.rows.values()
+    assert both["scores"] == [first["score"], second["score"]]
+    assert first["score"] != second["score"]
+    for name in ("score", "joint_error_mm", "area_error"):
+        assert both[name] == pytest.approx((first[name] + second[name]) / 2)
+    assert item.worst.numbers["score"] == min(both["scores"])
+
+
+def test_what_one_draw_could_not_measure_has_no_mean():
+    row = averaged([{"score": 1.0, "a": 2.0, "b": True}, {"score": 3.0, "a": None, "b": False}])
+    assert row == {"score": 2.0, "a": None, "b": False, "scores": [1.0, 3.0]}
 
 
 def test_what_a_severity_asks_for_must_exist(suite, start, modes):
