@@ -13,7 +13,8 @@ import pickle
 import pickletools
 import re
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -80,7 +81,8 @@ def load_npy(path: Path) -> NDArray[Any] | dict[str, Any]:
 
 
 def _read(path: Path, reader: Callable[[io.BufferedIOBase], Any]) -> Any:
-    try:
+    remedy = "Take the file from its publisher, or save it again as .npz"
+    with readable(path, "no data file needs", remedy):
         size = path.stat().st_size
         if size > MOST_BYTES:
             raise ArtifactError(
@@ -89,17 +91,33 @@ def _read(path: Path, reader: Callable[[io.BufferedIOBase], Any]) -> Any:
             )
         # From memory, which has no more bytes than there are, whatever the file claims.
         return reader(io.BytesIO(path.read_bytes()))
+
+
+@contextmanager
+def readable(path: Path, unneeded: str, remedy: str) -> Iterator[None]:
+    """Turn whatever reading a file raises into an error that names it.
+
+    Args:
+        path: what is read.
+        unneeded: "no data file needs", say, which follows what the file wants to run.
+        remedy: what to do with a file that wants to run something.
+
+    Raises:
+        ArtifactError: as it came, or for a file that is missing, damaged, or names anything that is
+            not on the list.
+    """
+    try:
+        yield
     except ArtifactError:
         raise
     except OSError as error:
-        raise ArtifactError(f"cannot read {path}: {error.strerror}") from None
+        raise ArtifactError(f"cannot read {path}: {error.strerror or error}") from None
     except Refused as error:
         raise ArtifactError(
-            f"{path} wants to run {error}, which no data file needs; nothing was executed. "
-            "Take the file from its publisher, or save it again as .npz"
+            f"{path} wants to run {error}, which {unneeded}; nothing was executed. {remedy}"
         ) from None
     except Exception as error:
-        # A damaged pickle can raise nearly anything from inside the standard library.
+        # A damaged file can raise nearly anything from inside pickle, zipfile and torch.
         raise ArtifactError(
             f"{path} is not a readable {path.suffix or 'data'} file: {error!r}"
         ) from None

@@ -20,6 +20,19 @@ struct Row {
     float at(int i, int k) const { return r[4 * i + k]; }
 };
 
+// One Gaussian's blend of all poses' transforms [J, width], into a row of that width.
+inline void blend_transforms(int64_t joints, int64_t width, const float *weights,
+                             const float *transforms, float *row) {
+    std::memset(row, 0, width * sizeof(float));
+    for (int64_t j = 0; j < joints; ++j) {
+        const float w = weights[j];
+        if (w == 0) continue;  // most joints, where weights are a body's own
+        const float *x = transforms + j * width;
+#pragma omp simd
+        for (int64_t k = 0; k < width; ++k) row[k] += w * x[k];
+    }
+}
+
 }  // namespace
 
 extern "C" {
@@ -37,14 +50,7 @@ void pose(int64_t poses, int64_t gaussians, int64_t joints, int threads, const f
         const int64_t last = std::min(gaussians, (chunk + 1) * CHUNK);
         for (int64_t n = chunk * CHUNK; n < last; ++n) {
             float *row = blend.data();
-            std::memset(row, 0, width * sizeof(float));
-            for (int64_t j = 0; j < joints; ++j) {
-                const float w = weights[n * joints + j];
-                if (w == 0) continue;  // most joints, where weights are a body's own
-                const float *x = transforms + j * width;
-#pragma omp simd
-                for (int64_t k = 0; k < width; ++k) row[k] += w * x[k];
-            }
+            blend_transforms(joints, width, weights + n * joints, transforms, row);
             const float *x = means + 3 * n, *s = spreads + 9 * n;
             for (int64_t b = 0; b < poses; ++b) {
                 const Row t{row + 12 * b};
@@ -81,14 +87,7 @@ void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads
         const int64_t last = std::min(gaussians, (chunk + 1) * CHUNK);
         for (int64_t n = chunk * CHUNK; n < last; ++n) {
             float *row = blend.data(), *back = pull.data();
-            std::memset(row, 0, width * sizeof(float));
-            for (int64_t j = 0; j < joints; ++j) {
-                const float w = weights[n * joints + j];
-                if (w == 0) continue;  // most joints, where weights are a body's own
-                const float *x = transforms + j * width;
-#pragma omp simd
-                for (int64_t k = 0; k < width; ++k) row[k] += w * x[k];
-            }
+            blend_transforms(joints, width, weights + n * joints, transforms, row);
             const float *x = means + 3 * n, *s = spreads + 9 * n;
             float dx[3] = {0, 0, 0}, ds[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
             for (int64_t b = 0; b < poses; ++b) {

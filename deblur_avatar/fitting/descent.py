@@ -62,9 +62,10 @@ class Descent:
         Raises:
             FittingError: naming the tensor, if too many steps had to be left out.
         """
+        odd: str | None = "the loss"
         if bool(torch.isfinite(total)):
             total.backward()
-        odd = "the loss" if not bool(torch.isfinite(total)) else self._odd_gradient()
+            odd = self._odd_gradient()
         if odd is None:
             self._move(iteration)
             self._in_a_row = 0

@@ -59,6 +59,7 @@ class Objective:
         self._areas = face_areas(model.canonical_vertices, self._faces)
         self._neighbours: Tensor | None = None
         self._feet: Feet | None = None
+        self._known_depths: dict[int, Tensor | None] = {}
 
     @property
     def perceptual(self) -> str | None:
@@ -118,12 +119,20 @@ class Objective:
         """What is known of the motion beforehand; other cameras may have told its depth."""
         weights = self._params.losses.model_dump()
         priors = self._trajectory.priors()
-        first = self._trajectory.first(index) if self._depth_known else None
-        if first is not None and weights["depth"] > 0:
+        first = self._first_depths(index) if weights["depth"] > 0 else None
+        if first is not None:
             # Steps towards the camera, in radians of a joint's turn.
-            shift = (self._depths(instants) - self._depths(first)) / LEVER
+            shift = (self._depths(instants) - first) / LEVER
             priors["depth"] = shift.square().mean()
         return {name: weights[name] * term for name, term in priors.items() if weights[name] > 0}
+
+    @torch.no_grad()
+    def _first_depths(self, index: int) -> Tensor | None:
+        """The joints' depths before fitting; None where they are not known."""
+        if index not in self._known_depths:
+            first = self._trajectory.first(index) if self._depth_known else None
+            self._known_depths[index] = None if first is None else self._depths(first)
+        return self._known_depths[index]
 
     def _depths(self, instants: Instants) -> Tensor:
         """How far the joints are from the camera at the middle of an exposure, metres."""

@@ -23,8 +23,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pickles import Refused, check_structure
+from deblur_avatar.pickles import Refused, check_structure, readable
 
 MOST_BYTES = 1 << 30  # of all storages that are wanted; VGG16's largest file has 0.5 GB
 MOST_STRUCTURE = 1 << 22  # bytes of what is not storages; VGG16's file has 4 kB of it
@@ -75,21 +74,14 @@ def load_pth(path: Path, wanted: Collection[str]) -> dict[str, Tensor]:
         ArtifactError: if the file is missing, damaged, too large, holds something else than tensors
             by name, or names anything that they do not need; nothing of it has been executed then.
     """
-    try:
-        with Path(path).open("rb") as file:
-            form = file.read(len(ZIP))
-            file.seek(0)
-            return _from_archive(file, wanted) if form == ZIP else _from_sequence(file, wanted)
-    except OSError as error:
-        raise ArtifactError(f"cannot read {path}: {error.strerror or error}") from None
-    except Refused as error:
-        raise ArtifactError(
-            f"{path} wants to run {error}, which no weights need; nothing was executed. "
-            "Take the file from its publisher"
-        ) from None
-    except Exception as error:
-        # A damaged file can raise nearly anything from inside pickle, zipfile and torch.
-        raise ArtifactError(f"{path} is not a readable .pth file: {error!r}") from None
+    path = Path(path)
+    with (
+        readable(path, "no weights need", "Take the file from its publisher"),
+        path.open("rb") as file,
+    ):
+        form = file.read(len(ZIP))
+        file.seek(0)
+        return _from_archive(file, wanted) if form == ZIP else _from_sequence(file, wanted)
 
 
 def _from_archive(file: io.BufferedIOBase, wanted: Collection[str]) -> dict[str, Tensor]:
