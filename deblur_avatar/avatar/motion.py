@@ -70,10 +70,10 @@ class Trajectory(nn.Module):
         """How long the shutter was open, seconds, where that was an unknown of the motion."""
         return None
 
+    @torch.no_grad()
     def to_artifact(self, betas: Tensor, timestamps: Tensor) -> Motion:
         """Sample every exposure, and keep the unknowns so that a later stage can go on."""
-        with torch.no_grad():
-            frames = [self.at(index, self.u) for index in range(len(timestamps))]
+        frames = [self.at(index, self.u) for index in range(len(timestamps))]
         quats = torch.stack([frame.quats for frame in frames]).cpu()
         transl = torch.stack([frame.transl for frame in frames]).cpu()
         middle = quat_to_axis_angle(torch.stack([frame.centre_quats for frame in frames]).cpu())
