@@ -15,7 +15,7 @@ import jinja2
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.pipeline.comparison import Result, averaged, compared, spread
-from deblur_avatar.pipeline.report import read_results
+from deblur_avatar.pipeline.report import chart_files, read_results
 from deblur_avatar.pipeline.results_table import (
     DRAWING,
     FLIP,
@@ -29,6 +29,14 @@ from deblur_avatar.pipeline.results_table import (
     Column,
     look_up,
     shown_with_spread,
+)
+from deblur_avatar.pipeline.speed_accuracy import (
+    SPEED_ACCURACY,
+    Row,
+    chart,
+    drawn,
+    rows_of_methods,
+    with_speed,
 )
 
 TEMPLATE = "ablations.html.jinja"
@@ -68,7 +76,7 @@ class Section:
 SECTIONS = (
     Section(
         "Main ablation",
-        "Without motion modelling is the avatar of sharp frames on blurred ones, `blind`.",
+        "Without motion modelling is the recipe for sharp frames on blurred ones.",
         {
             "no_nonrigid": "without non-rigid deformation",
             "blind": "without motion modelling",
@@ -113,9 +121,10 @@ class AblationReport:
     page: str
     tables: str
     summary: dict[str, Any]
+    rows: list[Row]  # of the chart
 
     def save(self, folder: Path) -> None:
-        """Write `index.html`, `tables.md` and `summary.json`.
+        """Write `index.html`, `tables.md`, `summary.json` and the chart `speed_accuracy`.
 
         Raises:
             ArtifactError: if the disk refuses.
@@ -124,6 +133,8 @@ class AblationReport:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / "index.html").write_text(self.page)
             (folder / "tables.md").write_text(self.tables)
+            for file, content in chart_files("speed_accuracy", self.rows).items():
+                (folder / file).write_bytes(content)
         except OSError as error:
             raise ArtifactError(f"cannot write {folder}: {error}") from error
         run.write_json(folder / "summary.json", self.summary)
@@ -146,7 +157,19 @@ def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
     tables = [table for section in SECTIONS if len((table := _table(section, seeds))[1]) > 1]
     text = f"{about} Grey columns: the paper's own numbers, of another data set.\n\n"
     text += "\n".join(_markdown(section, table) for section, table in tables)
-    return AblationReport(_page(about, tables), text, _summary(seeds, scene, schedule))
+    rows = _rows(seeds, scene)
+    picture = drawn(chart(SPEED_ACCURACY, rows))
+    return AblationReport(
+        _page(about, tables, picture), text, _summary(seeds, scene, schedule), rows
+    )
+
+
+def _rows(seeds: Sequence[Mapping[str, Result]], scene: str) -> list[Row]:
+    """Means over seeds, with their spreads and the Pareto front of the means."""
+    methods = dict.fromkeys(method for results in seeds for method in results)
+    every = {m: [results[m] for results in seeds if m in results] for m in methods}
+    means = with_speed({m: averaged(results) for m, results in every.items()}, {})
+    return rows_of_methods({scene: means}, {m: spread(results) for m, results in every.items()})
 
 
 def _table(
@@ -188,9 +211,9 @@ def _summary(seeds: Sequence[Mapping[str, Result]], scene: str, schedule: str) -
     return {"scene": scene, "schedule": schedule, "methods": content}
 
 
-def _page(about: str, tables: list[tuple[Section, list[list[str]]]]) -> str:
+def _page(about: str, tables: list[tuple[Section, list[list[str]]]], chart: str) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text())
-    return template.render(about=about, tables=tables, columns=len(COLUMNS)) + "\n"
+    return template.render(about=about, tables=tables, columns=len(COLUMNS), chart=chart) + "\n"

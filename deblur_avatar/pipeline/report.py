@@ -91,7 +91,7 @@ class Report:
         """
         files = {"index.html": self.page.encode(), "table.md": self.tables.encode()}
         for name, rows in self.rows.items():
-            files |= _chart_files(name, rows)
+            files |= chart_files(name, rows)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for file, content in files.items():
@@ -173,7 +173,8 @@ def declared(scenes: Mapping[str, Results]) -> dict[str, Any]:
     }
 
 
-def _chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
+def chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
+    """What is written of one chart, by file name: rows and, if there are any, pictures of them."""
     content = {f"{name}.json": (json.dumps(rows, indent=1) + "\n").encode()}
     if rows:
         specification = chart(CHARTS[name], rows)

@@ -20,6 +20,9 @@ from deblur_avatar.pipeline.results_table import BOUNDS, look_up, method_order
 VERSION = "5.20"  # of Vega-Lite, as vl-convert names it
 SPEED_ACCURACY, OVER_TIME = "speed_accuracy.vl.json", "quality_over_time.vl.json"
 PIXELS_A_POINT = 2.0  # of PNG files
+PLOT = 360, 230  # pixels of a chart's plot, roughly: where its template's padding ends
+MOST_LABELS = 8
+LETTER, LINE = 8, 14  # pixels of a label's letter and line
 MEASURE = "paper"  # the method whose final quality the others are timed to
 # What a curve is of: its heading, and where a snapshot has the number.
 QUALITIES = {"novel views": ("image", "psnr"), "validation frames": ("validation_psnr",)}
@@ -91,22 +94,31 @@ def seconds_to(curve: Sequence[tuple[float, float]], goal: float) -> float | Non
     return None
 
 
-def rows_of_methods(scenes: Mapping[str, Results]) -> list[Row]:
-    """One row for each scene and method of which time and quality are known."""
+def rows_of_methods(scenes: Mapping[str, Results], spreads: Results | None = None) -> list[Row]:
+    """One row for each scene and method of which time and quality are known.
+
+    Args:
+        scenes: results by scene and method.
+        spreads: standard deviations of one scene's results, by method, where they are means.
+    """
     rows = []
     for scene, results in scenes.items():
+        of_scene: list[Row] = []
         for method in method_order(results):
             result = results[method]
             seconds = look_up(result, ("cost", "train_s"))
             psnr = look_up(result, ("image", "psnr"))
             if seconds is not None and psnr is not None:
                 speed = result.get("speed") or {}
-                rows.append(
+                spread = look_up((spreads or {}).get(method, {}), ("image", "psnr"))
+                of_scene.append(
                     {
                         "scene": scene,
                         "method": method,
                         "training_s": round(seconds, 1),
                         "psnr_db": round(psnr, 3),
+                        "psnr_low_db": None if spread is None else round(psnr - spread, 3),
+                        "psnr_high_db": None if spread is None else round(psnr + spread, 3),
                         "render_fps": _rounded(look_up(result, ("cost", "render_fps")), 1),
                         "memory_mb": _rounded(look_up(result, ("cost", "peak_memory_mb")), 0),
                         "disk_mb": _rounded(look_up(speed, ("disk_mb",)), 3),
@@ -115,7 +127,29 @@ def rows_of_methods(scenes: Mapping[str, Results]) -> list[Row]:
                         "pareto": bool(speed.get("pareto")),
                     }
                 )
+        rows += _with_labels_apart(of_scene)
     return rows
+
+
+def _with_labels_apart(rows: Sequence[Row]) -> list[Row]:
+    """Add `label_dy`: by how many pixels a label is moved down so that it covers no other one."""
+    if not rows:
+        return []
+    qualities = [row["psnr_db"] for row in rows]
+    high, range_db = max(qualities), max(max(qualities) - min(qualities), 1e-6)
+    longest = max(row["training_s"] for row in rows) or 1.0
+    taken: list[tuple[float, float, float]] = []  # left and right end, and height, of each label
+    moved: dict[str, int] = {}
+    for row in sorted(rows, key=lambda row: (-row["psnr_db"], row["training_s"])):
+        left = PLOT[0] * row["training_s"] / longest
+        right = left + LETTER * len(row["method"])
+        top = down = PLOT[1] * (high - row["psnr_db"]) / range_db
+        for other_left, other_right, other in sorted(taken, key=lambda label: label[2]):
+            if left < other_right and other_left < right and abs(down - other) < LINE:
+                down = other + LINE
+        taken.append((left, right, down))
+        moved[row["method"]] = round(down - top)
+    return [{**row, "label_dy": moved[row["method"]]} for row in rows]
 
 
 def rows_over_time(timelines: Mapping[str, Results]) -> list[Row]:
@@ -147,10 +181,18 @@ def rows_over_time(timelines: Mapping[str, Results]) -> list[Row]:
 def chart(template: str, rows: Sequence[Row]) -> dict[str, Any]:
     """A Vega-Lite specification of its own: one of the templates with its rows inside.
 
-    Its legend names the methods that are there.
+    Its legend names the methods that are there. More than `MOST_LABELS` are named by a legend
+    instead of beside their points.
     """
     content = json.loads((Path(__file__).parent / template).read_text())
-    _keep_colors(content, {str(row["method"]) for row in rows})
+    methods = {str(row["method"]) for row in rows}
+    _keep_colors(content, methods)
+    if template == SPEED_ACCURACY and len(methods) > MOST_LABELS:
+        layers = content["spec"]["layer"]
+        content["spec"]["layer"] = [layer for layer in layers if layer["mark"]["type"] != "text"]
+        for layer in layers:
+            for channel in layer["encoding"].keys() & {"color", "stroke"}:
+                layer["encoding"][channel]["legend"] = {"title": None, "orient": "right"}
     return content | {"data": {"values": list(rows)}}
 
 

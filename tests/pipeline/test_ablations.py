@@ -66,5 +66,16 @@ def test_no_results_at_all_are_refused(tmp_path):
 def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
     report_ablations(results, "studio", "quick").save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "index.html", "tables.md", "summary.json",
+        "index.html", "tables.md", "summary.json", "speed_accuracy.json", "speed_accuracy.png",
+        "speed_accuracy.svg", "speed_accuracy.vl.json",
     }  # fmt: skip
+    assert "<svg" in (tmp_path / "out/index.html").read_text()
+
+
+def test_the_chart_has_means_between_their_spreads_and_the_front_of_the_means(results):
+    rows = {row["method"]: row for row in report_ablations(results, "studio", "quick").rows}
+    assert rows["paper"]["psnr_db"] == 28.0
+    assert rows["paper"]["psnr_high_db"] == pytest.approx(28.0 + 2**0.5, abs=1e-3)
+    assert rows["paper"]["psnr_low_db"] == pytest.approx(28.0 - 2**0.5, abs=1e-3)
+    assert rows["paper"]["training_s"] == 100.5
+    assert [method for method, row in rows.items() if row["pareto"]] == ["paper"]

@@ -87,6 +87,22 @@ def test_a_chart_has_a_point_for_each_method_with_its_name(studio):
     assert drawn_png(chart(SPEED_ACCURACY, rows)).startswith(b"\x89PNG")
 
 
+def test_labels_of_points_that_meet_stand_below_each_other():
+    near = {"oracle": result(90, 28.0), "blind": result(95, 27.99), "lean": result(10, 28.0),
+            "paper": result(95, 24.0)}  # fmt: skip
+    moved = {row["method"]: row["label_dy"] for row in rows_of_methods({"studio": near})}
+    assert moved["oracle"] == moved["lean"] == moved["paper"] == 0
+    assert 10 <= moved["blind"] <= 14
+
+
+def test_many_methods_are_named_by_a_legend_instead(studio):
+    many = {f"n{i}": result(50 + i, 20 + i) for i in (3, 7, 9, 13)}
+    picture = drawn(chart(SPEED_ACCURACY, rows_of_methods({"studio": studio[0] | many})))
+    assert all(picture.count(f">{method}<") == 1 for method in ("lean", "n13", "ceiling"))
+    assert "role-legend" in picture
+    assert "role-legend" not in drawn(chart(SPEED_ACCURACY, rows_of_methods({"studio": studio[0]})))
+
+
 def test_a_curve_has_a_row_for_each_snapshot_and_quality(studio):
     rows = rows_over_time({"studio": studio[1]})
     assert len(rows) == 2 * 3 * 2
