@@ -5,7 +5,7 @@
 prints JSON: for each method milliseconds a step (the median), milliseconds and shares of its parts
 (forward and backward), shares of kinds of work, and for `paper` the same step written naively:
 instants one by one, networks evaluated for each, coverage rendered apart. Both are measured in
-turns, so that a busy machine slows them alike. The scene is a person of capsules. `--methods` names
+turns of a few steps, so that a busy machine slows them alike. The scene is a person of capsules. `--methods` names
 some of the methods; all of them take minutes.
 
 Kinds of work: `rasterizer` and `posing kernel` are the two native kernels; `layers` is all inside a
@@ -54,6 +54,7 @@ FPS = 60.0
 EXPOSURE = 4 / FPS  # seconds
 STEPS = 34
 WARM_UP = 10
+TURN = 6  # steps
 
 # The profiler's names of products of matrices, besides oneDNN's.
 PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "mv", "addmv", "addmv_", "convolution_backward")
@@ -183,15 +184,20 @@ def naive(fit: AvatarFit) -> Step:
 
 
 def milliseconds(steps: Iterable[Step]) -> list[float]:
-    """Median time of each of several steps, taken in turns."""
+    """Median time of each of several steps, taken in turns of a few at a time.
+
+    The first of each turn does not count: it finds the caches full of another's work, as no step of
+    a fit does.
+    """
     steps = list(steps)
     times: list[list[float]] = [[] for _ in steps]
-    for index in range(STEPS):
+    for first in range(0, STEPS, TURN):
         for step, taken in zip(steps, times, strict=True):
-            start = time.perf_counter()
-            step(index)
-            if index >= WARM_UP:
-                taken.append(1e3 * (time.perf_counter() - start))
+            for index in range(first, min(first + TURN, STEPS)):
+                start = time.perf_counter()
+                step(index)
+                if index >= WARM_UP and index > first:
+                    taken.append(1e3 * (time.perf_counter() - start))
     return [sorted(taken)[len(taken) // 2] for taken in times]
 
 
