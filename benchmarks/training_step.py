@@ -5,8 +5,8 @@
 prints JSON: for each method milliseconds a step (the median), milliseconds and shares of its parts
 (forward and backward), shares of kinds of work, and for `paper` the same step written naively:
 instants one by one, networks evaluated for each, coverage rendered apart. Both are measured in
-turns of a few steps, so that a busy machine slows them alike. The scene is a person of capsules. `--methods` names
-some of the methods; all of them take minutes.
+turns of a few steps, so that a busy machine slows them alike. The scene is a person of capsules.
+`--methods` names some of the methods; all of them take minutes.
 
 Kinds of work: `rasterizer` and `posing kernel` are the two native kernels; `layers` is all inside a
 stack of network layers, where products, ReLUs and rounding alternate; `matrix products` is what of
