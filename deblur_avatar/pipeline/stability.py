@@ -26,15 +26,8 @@ from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams
 
 logger = logging.getLogger(__name__)
 
-FIT_KEYS = (
-    "budget",
-    "seed",
-    "draws",
-    "estimated_shutter",
-    "exposure_gain",
-    "start_noise",
-    "needles",
-)
+FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "exposure_gain",
+            "start_noise", "needles")  # fmt: skip
 PICTURES = ("blurred", "render", "truth")
 
 Film = Callable[[str], tuple[Clip, Reference]]
@@ -105,14 +98,11 @@ def _attempt(
                 bench.validation_stride, bench.seed,
             )  # fmt: skip
             row["flags"] = _flags(prepared.blurred, prepared.metrics)
-            chosen, first = _changed(bench, severity.fit), int(severity.fit.get("seed", 0))
-            fits = (
-                fit_method(
-                    prepared.blurred, chosen, draw=draw, needles=severity.fit.get("needles", 0.0)
-                )
-                for draw in range(first, first + int(severity.fit.get("draws", 1)))
-            )
-            drawn = [measure(prepared.blurred, reference, one, bench.device) for one in fits]
+            drawn = _draws(prepared.blurred, severity, bench, prepared.blurred, reference)
+            if "oracle" in severity.fit and bench.method.trajectory.supervision == "sharp":
+                assert prepared.sharp is not None  # the studio knows all
+                sharp = _draws(prepared.sharp, severity, bench, prepared.blurred, reference)
+                row["oracle"] = averaged([measured.numbers for measured in sharp])
         except (ConfigError, ArtifactError) as error:
             return {**row, "refused": f"{type(error).__name__}: {error}", "warnings": heard}, None
         except Exception as error:  # a crash is what this suite looks for
@@ -121,6 +111,23 @@ def _attempt(
     told = list(dict.fromkeys(heard))  # each draw says the same again
     worst = min(drawn, key=lambda measured: measured.numbers["score"])
     return {**row, **averaged([m.numbers for m in drawn]), "warnings": told}, worst
+
+
+def _draws(
+    seen: Observations,
+    severity: SeverityParams,
+    bench: Bench,
+    blurred: Observations,
+    reference: Reference,
+) -> list[Measured]:
+    """As many fits to what is seen as a severity asks for, each compared with the truth."""
+    chosen, first = _changed(bench, severity.fit), int(severity.fit.get("seed", 0))
+    needles = severity.fit.get("needles", 0.0)
+    fits = (
+        fit_method(seen, chosen, draw=draw, needles=needles)
+        for draw in range(first, first + int(severity.fit.get("draws", 1)))
+    )
+    return [measure(blurred, reference, fitted, bench.device) for fitted in fits]
 
 
 def _changed(bench: Bench, fit: Mapping[str, float]) -> Bench:

@@ -61,6 +61,7 @@ def measure(
     numbers = {
         "score": content["image"]["psnr_seen"],
         "psnr": content["image"]["psnr"],
+        "flip_seen": content["image"]["flip_seen"],
         "psnr_novel_pose": novel.get("psnr"),
         "score_novel_pose": novel.get("psnr_seen"),
         **crops,

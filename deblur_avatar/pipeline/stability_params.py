@@ -26,8 +26,9 @@ class SeverityParams(Params):
 
     `damage` names functions of `stability_damage` with their amounts, applied in order. `fit` may
     hold `budget` (times the schedule), `seed` (another draw), `draws` (how many, from that one on,
-    are averaged), `estimated_shutter`, `exposure_gain`, `start_noise` (radians, instead of the
-    method's) and `needles` (share of the Gaussians).
+    are averaged), `oracle` (a method without a model of blur is fitted to the sharp frames, too),
+    `estimated_shutter`, `exposure_gain`, `start_noise` (radians, instead of the method's) and
+    `needles` (share of the Gaussians).
     """
 
     scene: str

@@ -119,9 +119,13 @@ def _drop(case: Case, most: float) -> Check:
     return Check("dB lost against the clean scene", lost, most=most)
 
 
-def _recovery(case: Case) -> Check:
-    gained = _minus(case.score, case.blind.get("score"))
-    return Check("recovery", _ratio(gained, _minus(case.ceiling["score"], case.blind.get("score"))))
+def _recovery(
+    case: Case, bound: Row | None = None, key: str = "score", name: str = "recovery"
+) -> Check:
+    """Which share of what blur costs is won back, against a bound: the ceiling, or another."""
+    bound = case.ceiling if bound is None else bound
+    gained = _minus(case.row.get(key), case.blind.get(key))
+    return Check(name, _ratio(gained, _minus(bound.get(key), case.blind.get(key))))
 
 
 def _amount(case: Case) -> float:
@@ -145,7 +149,14 @@ def _large_blur(case: Case) -> list[Check]:
 
 
 def _overlap(case: Case) -> list[Check]:
-    return [_came_out(case), _above_blind(case, 0.0), _recovery(case)]
+    oracle = case.blind.get("oracle", {})
+    return [
+        _came_out(case),
+        _above_blind(case, 0.0),
+        _recovery(case),
+        _recovery(case, oracle, name="recovery against the oracle"),
+        _recovery(case, oracle, "flip_seen", "recovery of FLIP against the oracle"),
+    ]
 
 
 def _gaps(case: Case) -> list[Check]:

@@ -30,6 +30,17 @@ def case(
     return Case(method, severity, {**FINE, **row}, BLIND, CEILING, FINE, before)
 
 
+def test_recovery_is_told_against_ceiling_and_oracle():
+    blind = {**BLIND, "flip_seen": 0.5, "oracle": {"score": 17.0, "flip_seen": 0.3}}
+    severity = SeverityParams(scene="turn", damage={}, fit={})
+    row = {**FINE, "flip_seen": 0.35}
+    told = judge("overlap", Case("lean", severity, row, blind, CEILING, FINE, ()))
+    values = {check.what: check.value for check in told}
+    assert values["recovery"] == pytest.approx(0.75)
+    assert values["recovery against the oracle"] == pytest.approx(1.5)
+    assert values["recovery of FLIP against the oracle"] == pytest.approx(0.75)
+
+
 def passes(mode: str, given: Case) -> bool:
     return all(check.passed for check in judge(mode, given))
 

@@ -188,6 +188,16 @@ def test_several_draws_are_averaged_and_the_worst_one_is_shown(suite, start, mod
     assert item.worst.numbers["score"] == min(both["scores"])
 
 
+def test_the_same_recipe_on_sharp_frames_stands_beside(suite, start, modes):
+    severity = SeverityParams(scene="turn", damage={}, fit={"oracle": 1.0, "draws": 2.0})
+    mode = ModeParams(title="x", severities={"a": severity})
+    blind = _run(suite, mode, "blind", start).rows["a"]
+    assert len(blind["oracle"]["scores"]) == 2
+    assert blind["oracle"]["digest"] != blind["digest"]
+    assert blind["oracle"]["initial_joint_error_mm"] == blind["initial_joint_error_mm"]
+    assert "oracle" not in _run(suite, mode, "lean", start).rows["a"]
+
+
 def test_what_one_draw_could_not_measure_has_no_mean():
     row = averaged([{"score": 1.0, "a": 2.0, "b": True}, {"score": 3.0, "a": None, "b": False}])
     assert row == {"score": 2.0, "a": None, "b": False, "scores": [1.0, 3.0]}
