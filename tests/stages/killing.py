@@ -60,7 +60,7 @@ def child(
 
 
 def main(stage: str, whole: Path, stopped: Path, kills: int, seed: int) -> None:
-    """Print the exit status of both last runs, and after how many children something was kept."""
+    """Print the exit status of both last runs, how many were killed, how many had saved."""
     torch.set_num_threads(1)
     avatar_fit.NEIGHBOUR_REFRESH = 3
     run_folder.SAVE_EVERY_S = 0.0
@@ -72,8 +72,8 @@ def main(stage: str, whole: Path, stopped: Path, kills: int, seed: int) -> None:
         status, _ = child(script, stage, stopped, stop, wait_s)
         killed += status == -signal.SIGKILL
         saved += any(stopped.glob(f".{stage}.unfinished/after_*"))
-    last = child(script, stage, stopped)[0] if kills and killed == kills else status
-    sys.stdout.write(f"{first} {last} {saved}\n")
+    last = child(script, stage, stopped)[0] if kills else first
+    sys.stdout.write(f"{first} {last} {killed} {saved}\n")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ KILLS = {"warmup": 17, "trajectory": 17, "fusion": 16}
 
 
 def killing(name, whole, stopped, kills, **options):
-    """Exit status of a run left alone and of the one after so many kills; how many had saved."""
+    """Exit status of a run left alone and of the last of the killed ones; kills; saves found."""
     words = [name, str(whole), str(stopped), str(kills), "5"]
     quick = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "DEBLUR_AVATAR_CHECK_SHAPES": "0"}
     done = subprocess.run(
@@ -46,11 +46,11 @@ def prepare(tmp_path_factory, observations, tiny_parameters):
 
 def test_fifty_kills_at_random_moments_change_no_byte(prepare):
     whole, stopped = prepare(), prepare()
-    saved = 0
+    killed, saved = 0, 0
     for name, kills in KILLS.items():
-        (first, last, found), said = killing(name, whole, stopped, kills)
+        (first, last, dead, found), said = killing(name, whole, stopped, kills)
         assert first == last == 0, said
-        saved += found
+        killed, saved = killed + dead, saved + found
         assert contents(stopped / name) == contents(whole / name)
         one, other = (json.loads((at / f"{name}.json").read_text()) for at in (whole, stopped))
         assert one["gaussians"] == other["gaussians"]
@@ -58,6 +58,7 @@ def test_fifty_kills_at_random_moments_change_no_byte(prepare):
             s["iteration"] for s in other["snapshots"]
         ]
         assert not (stopped / f".{name}.unfinished").exists()
+    assert killed == 50, "a child failed before all were killed"
     assert saved >= 10, "too few children had saved anything"
 
 
