@@ -91,6 +91,20 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     logger.info("%s %s: done in %.1f s, %.0f MB", name, item, took, peak_memory_mb())
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute with one thread, whose results are the same on any number of cores.
+
+    With several, torch's products and sums add in an order that depends on how many there are.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def _keep_freed_memory() -> None:
     """Ask glibc not to return large blocks to the system at once.
 

@@ -118,6 +118,7 @@ class _Problem:
     extent: float
 
 
+@run.one_thread()
 def fit_body(
     body: Body,
     cameras: Cameras,

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Int64, UInt8
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -49,7 +50,8 @@ def _measure(
     outline, normals = np.zeros((2, OUTLINE_POINTS, 2), np.float32)
     if not inside.any():
         return np.zeros(inside.shape, np.float32), outline, normals, np.array(False)
-    outside = SHRINK * cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # Not OpenCV's: with one thread it reads memory that it never wrote (its issue 24082).
+    outside = SHRINK * distance_transform_edt(1 - inside).astype(np.float32)
     full = (matte >= INSIDE).astype(np.uint8)
     found, _ = cv2.findContours(full, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     longest = max(len(piece) for piece in found)
@@ -60,7 +62,7 @@ def _measure(
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis) for axis in ((1, 0), (0, 1))]
     normals = -np.stack([slope[chosen[:, 1], chosen[:, 0]] for slope in slopes], axis=-1)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-6)
-    return outside.astype(np.float32), chosen.astype(np.float32) + 0.5, normals, np.array(True)
+    return outside, chosen.astype(np.float32) + 0.5, normals, np.array(True)
 
 
 def distance_outside(

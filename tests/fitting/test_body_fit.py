@@ -72,6 +72,20 @@ def test_a_seen_body_is_recovered(body: Body, truth: Poses, people: list[Landmar
     assert found.residuals.median() < 0.01 * found.extent
 
 
+def test_the_number_of_threads_changes_no_bit(body: Body, people: list[Landmarks]):
+    before = torch.get_num_threads()
+    try:
+        results = []
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            results.append(motion(fit(body, people).poses))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    for one, two in zip(*results, strict=True):
+        assert torch.equal(one, two)
+
+
 def test_a_view_with_left_and_right_swapped_does_no_harm(
     body: Body, truth: Poses, people: list[Landmarks], caplog: pytest.LogCaptureFixture
 ):

@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -25,6 +26,21 @@ def test_points_inside_a_matte_are_at_no_distance_and_others_at_their_own():
     distances = distance_outside(outside, pixels)[0]
     assert distances[:2].tolist() == [0, 0]
     assert distances[2:].tolist() == pytest.approx([40, 28], abs=SHRINK / 2)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_distances_are_exact_and_the_same_with_any_number_of_threads(threads: int):
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(threads)
+        found = [silhouettes([disc()[None]]).outside[0, 0] for _ in range(3)]
+    finally:
+        cv2.setNumThreads(before)
+    cells = disc().unflatten(0, (-1, SHRINK)).unflatten(2, (-1, SHRINK)).float().mean((1, 3))
+    within, everywhere = (cells >= 128).nonzero(), torch.ones_like(cells).nonzero()
+    squared = (everywhere[:, None] - within).square().sum(-1).amin(1)
+    exact = SHRINK * squared.double().sqrt().float().reshape(cells.shape)
+    assert all(torch.equal(outside, exact) for outside in found)
 
 
 def test_distance_grows_away_from_the_matte():
