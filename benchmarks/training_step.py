@@ -172,7 +172,7 @@ def naive(fit: AvatarFit) -> Step:
         sharp, _, dressed, posed = render(index, *centre)
         assert fit.fusion is not None
         assert dressed.pose_code is not None
-        blend = fit.fusion(sharp, dressed.pose_code, index, target.box)
+        blend = fit.fusion(sharp, mean, dressed.pose_code, index)
         last = fit._schedule.fusion - STEPS + iteration
         terms = fit.objective.pictures(
             [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target

@@ -34,8 +34,8 @@ class SkinningField(nn.Module):
         children = [[j for j, p in enumerate(parents) if p == joint] for joint in range(count)]
         inner = [joint for joint, below in enumerate(children) if below]
         # One logit a child for how a joint's outgoing mass is shared, one a parent for how much.
-        self._shared = [child for below in children for child in below]
-        self.network = ConditionedMLP(3, 0, hidden, len(self._shared) + len(inner))
+        edges = sum(len(below) for below in children)
+        self.network = ConditionedMLP(3, 0, hidden, edges + len(inner))
         # log w_j = log keep_j + sum over the edges on the path from the root of log pass, and log
         # keep = log pass - gate. A joint with one child passes everything to it: its share is 1.
         forks = [below for below in children if len(below) > 1]
@@ -53,10 +53,10 @@ class SkinningField(nn.Module):
                     paths[forked.index(node), joint] = 1
                 passed[inner.index(parents[node]), joint] = 1
                 node = parents[node]
-        self._columns = [
-            slice(self._shared.index(below[0]), self._shared.index(below[-1]) + 1)
-            for below in forks
-        ]
+        # Rows of the logits: each parent's children, and which of these have to share; the gates.
+        families = [below for below in children if below]
+        self._sizes = [*map(len, families), len(inner)]
+        self._forked = [row for row, below in enumerate(families) if len(below) > 1]
         self.register_buffer("terms", torch.cat([paths, passed, kept]), persistent=False)
 
     def forward(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P J"]:
@@ -66,9 +66,8 @@ class SkinningField(nn.Module):
     def from_logits(self, logits: Float[Tensor, "P L"]) -> Float[Tensor, "P J"]:
         """Turn the network's outputs into weights that sum to 1."""
         # One row a logit: along short rows a softmax takes five times as long.
-        rows = logits.T.contiguous()
-        gates = rows[len(self._shared) :]
-        shares = [rows[columns].log_softmax(0) for columns in self._columns]
+        *families, gates = logits.T.contiguous().split(self._sizes)
+        shares = [families[row].log_softmax(0) for row in self._forked]
         move = nn.functional.logsigmoid(gates)
         return (torch.cat([*shares, move, gates]).T @ self.terms).exp()
 

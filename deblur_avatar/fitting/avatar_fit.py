@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts import Checkpoint, Observations
@@ -28,6 +29,7 @@ from deblur_avatar.fitting.targets import Target, target_of
 from deblur_avatar.imaging.rasterizers import Rasterization, rasterize
 
 Report = Callable[[int, Mapping[str, float]], None]
+Posed = tuple[Tensor, Tensor]  # means [S, N, 3] and covariances [S, N, 6] at S instants
 
 NEIGHBOUR_REFRESH = 100  # steps; canonical positions move by less than their spacing in between
 PRETRAIN_SAMPLES = 4096
@@ -149,16 +151,16 @@ class AvatarFit:
         target = self._targets[index]
         instants = self.trajectory(index)
         dressed = self._dress(iteration, index, instants)
-        virtual, centre = self._transforms(instants, supervision)
+        both = supervision in ("fused", RELEASED) or mask == "centre"
+        transforms = self._transforms(instants, supervision)
         noise = self.model.view_noise(self._generator)
-        colors = self.model.colors(dressed, centre, self._viewmat, noise)
-        means, covars = dressed.posed(virtual)
+        colors = self.model.colors(dressed, transforms[-1], self._viewmat, noise)
+        (means, covars), *centre = _posed(dressed, transforms, both)
         drawn = self._rasterize(means, covars, colors, target, average=mask != "union")
         pictures = {"sharp" if supervision == "sharp" else "mean": drawn.image.mean(0)}
         covers = drawn.alpha
-        if supervision in ("fused", RELEASED) or mask == "centre":
-            posed = dressed.posed(centre[None])
-            sharp = self._rasterize(*posed, colors, target, average=False)
+        if both:
+            sharp = self._rasterize(*centre[0], colors, target, average=False)
             pictures["sharp"] = sharp.image[0]
             if supervision == RELEASED:
                 # The sharp render is one more instant of the exposure, and of its coverage.
@@ -169,7 +171,7 @@ class AvatarFit:
             if mask == "centre":
                 covers = sharp.alpha
             if self.fusion is not None:
-                pictures["fused"] = self._fused(pictures, dressed, target, supervision)
+                pictures["fused"] = self._fused(pictures, dressed, supervision)
         alpha = 1 - (1 - covers).prod(0) if mask == "union" else covers.mean(0)
         still = supervision == RELEASED and self._is_still(iteration, index)
         blended = self.fusion is not None
@@ -283,27 +285,24 @@ class AvatarFit:
         deform = iteration > self._params.optimiser.nonrigid_start * self._scale
         return self.model.dress(instants.centre_rotations, index, deform=deform, pose_noise=noise)
 
-    def _transforms(self, instants: Instants, supervision: str) -> tuple[Tensor, Tensor]:
-        """Of the drawn instants [S, J, 4, 4] and of the middle [J, 4, 4], in one go."""
+    def _transforms(self, instants: Instants, supervision: str) -> Float[Tensor, "S J 4 4"]:
+        """Of the drawn instants and, last, of the middle, in one go; if it is drawn alone, once."""
         rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
-        if supervision == "sharp":
-            transforms = self.model.transforms(rotations, transl)
-            return transforms, transforms[0]
-        rotations = torch.cat([instants.rotations, rotations])
-        transforms = self.model.transforms(rotations, torch.cat([instants.transl, transl]))
-        return transforms[:-1], transforms[-1]
+        if supervision != "sharp":
+            rotations = torch.cat([instants.rotations, rotations])
+            transl = torch.cat([instants.transl, transl])
+        return self.model.transforms(rotations, transl)
 
-    def _fused(
-        self, pictures: dict[str, Tensor], dressed: Dressed, target: Target, supervision: str
-    ) -> Tensor:
+    def _fused(self, pictures: dict[str, Tensor], dressed: Dressed, supervision: str) -> Tensor:
         """The fusion network's blend of the sharp and the averaged render."""
         assert self.fusion is not None
         sharp, mean = pictures["sharp"], pictures["mean"]
-        seen = sharp
+        seen, other = sharp, mean
         if supervision == RELEASED:
             seen = mean = mean.detach()
+            other = sharp
         code = dressed.pose_code if self.fusion.sees_pose else None
-        blend = self.fusion(seen, code, dressed.frame, target.box)
+        blend = self.fusion(seen, other, code, dressed.frame)
         return torch.lerp(sharp, mean, blend)
 
     def _is_still(self, iteration: int, index: int) -> bool:
@@ -348,6 +347,20 @@ class AvatarFit:
             ).tolist()
             self._queue = [frames[position] for position in order]
         return self._queue.pop()
+
+
+def _posed(dressed: Dressed, transforms: Float[Tensor, "S J 4 4"], both: bool) -> list[Posed]:
+    """The Gaussians at the drawn instants and, if `both` are wanted, in the middle.
+
+    All in one call, which blends each Gaussian's transforms, and their gradients, only once.
+    """
+    if len(transforms) == 1:
+        return [dressed.posed(transforms)] * (2 if both else 1)
+    if not both:
+        return [dressed.posed(transforms[:-1])]
+    sizes = [len(transforms) - 1, 1]
+    means, covars = (part.split(sizes) for part in dressed.posed(transforms))
+    return list(zip(means, covars, strict=True))
 
 
 def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

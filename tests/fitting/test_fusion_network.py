@@ -5,7 +5,6 @@ import torch
 
 from deblur_avatar.fitting.fusion_network import FusionNetwork, position_code
 
-BOX = (1, 2, 5, 6)  # left, top, right, bottom
 SIZE = 8
 
 
@@ -22,27 +21,36 @@ def picture(seed=0):
     return torch.rand(SIZE, SIZE, 3, generator=generator, dtype=torch.float64)
 
 
+def averaged(sharp):
+    """Another render that differs in a block of 4 x 4, and in one channel of one pixel."""
+    other = sharp.detach().clone()
+    other[2:6, 1:5] = picture(1)[2:6, 1:5]
+    other[0, 7, 2] += 0.25
+    return other
+
+
 CODE = torch.linspace(-1, 1, 6, dtype=torch.float64)
+DIFFER = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+DIFFER[2:6, 1:5] = DIFFER[0, 7] = True
 
 
-def test_the_share_is_between_none_and_all_inside_the_box_and_none_outside(network):
-    share = network(picture(), CODE, 1, BOX)[..., 0]
-    inside = torch.zeros(SIZE, SIZE, dtype=torch.bool)
-    inside[2:6, 1:5] = True
-    assert ((share[inside] > 0) & (share[inside] < 1)).all()
-    assert share[~inside].abs().max() == 0
+def test_the_share_is_between_none_and_all_where_renders_differ_and_none_elsewhere(network):
+    share = network(picture(), averaged(picture()), CODE, 1)[..., 0]
+    assert ((share[DIFFER] > 0) & (share[DIFFER] < 1)).all()
+    assert share[~DIFFER].abs().max() == 0
 
 
 def test_the_share_is_a_plain_network_over_everything_known_of_a_pixel(network):
     sharp = picture()
-    share = network(sharp, CODE, 2, BOX)[..., 0]
-    cut = sharp[2:6, 1:5].permute(2, 0, 1)[None]
-    seen = torch.nn.functional.conv2d(cut, network.look.weight, network.look.bias, padding=1)[0]
+    share = network(sharp, averaged(sharp), CODE, 2)[..., 0]
+    seen = torch.nn.functional.conv2d(
+        sharp.permute(2, 0, 1)[None], network.look.weight, network.look.bias, padding=1
+    )[0]
     place = position_code(SIZE, SIZE, sharp)
     plain = network.network
-    for row, column in ((2, 1), (4, 3), (5, 4)):
+    for row, column in ((2, 1), (4, 3), (5, 4), (0, 7)):
         known = torch.cat(
-            [place[row, column], seen[:, row - 2, column - 1], CODE, network.frame_codes.weight[2]]
+            [place[row, column], seen[:, row, column], CODE, network.frame_codes.weight[2]]
         )
         for layer in plain.layers:
             known = torch.nn.functional.leaky_relu(layer(known), 0.01)
@@ -51,44 +59,66 @@ def test_the_share_is_a_plain_network_over_everything_known_of_a_pixel(network):
 
 @pytest.mark.parametrize("what", ["picture", "pose", "frame"])
 def test_the_share_depends_on_the_picture_the_pose_and_the_frame(network, what):
-    before = network(picture(), CODE, 0, BOX)
+    sharp = picture()
+    before = network(sharp, 1 - sharp, CODE, 0)
     after = network(
-        picture(1) if what == "picture" else picture(),
+        picture(1) if what == "picture" else sharp,
+        1 - sharp,
         CODE + 1 if what == "pose" else CODE,
         1 if what == "frame" else 0,
-        BOX,
     )
     assert (before - after).abs().max() > 1e-4
 
 
 def test_the_share_of_a_uniform_picture_still_depends_on_the_place(network):
-    share = network(torch.zeros_like(picture()), CODE, 0, (0, 0, SIZE, SIZE))[2:6, 2:6, 0]
+    black = torch.zeros_like(picture())
+    share = network(black, black + 1, CODE, 0)[2:6, 2:6, 0]
     assert share.std() > 1e-5
 
 
 def test_both_renders_and_the_network_are_pulled(network):
-    sharp, averaged = picture().requires_grad_(), picture(1).requires_grad_()
-    share = network(sharp, CODE, 1, BOX)
-    fused = (1 - share) * sharp + share * averaged
+    sharp = picture().requires_grad_()
+    mean = averaged(sharp).requires_grad_()
+    share = network(sharp, mean, CODE, 1)
+    fused = (1 - share) * sharp + share * mean
     fused.square().sum().backward()
-    inside = averaged.grad[2:6, 1:5]
-    assert (inside.abs() > 0).all()
-    torch.testing.assert_close(averaged.grad.abs().sum(), inside.abs().sum())
+    assert (mean.grad[DIFFER].abs().sum(-1) > 0).all()
+    assert mean.grad[~DIFFER].abs().max() == 0
     assert (sharp.grad.abs() > 0).all()
     assert all(value.grad is not None for value in network.parameters())
     assert network.frame_codes.weight.grad[[0, 2]].abs().max() == 0
 
 
-def test_the_gradient_is_that_of_differences(network):
-    small = picture()[:4, :4].clone().requires_grad_()
-    code = CODE.clone().requires_grad_()
-    assert torch.autograd.gradcheck(lambda x, c: network(x, c, 0, (1, 0, 4, 3)), (small, code))
+def test_pixels_left_out_change_neither_the_picture_nor_what_the_network_learns(network):
+    results = []
+    for everywhere in (False, True):
+        sharp = picture().requires_grad_()
+        mean = averaged(sharp).requires_grad_()
+        share = network(sharp, mean + 1 if everywhere else mean, CODE, 1)
+        fused = torch.lerp(sharp, mean, share)
+        of_sharp, of_mean, *others = torch.autograd.grad(
+            fused.square().sum(), [sharp, mean, *network.parameters()]
+        )
+        results.append([fused, of_sharp + of_mean, *others])
+    for some, every in zip(*results, strict=True):
+        torch.testing.assert_close(some, every)
 
 
-def test_a_box_may_be_the_whole_picture(network):
-    share = network(picture(), CODE, 0, (0, 0, SIZE, SIZE))
+def test_renders_that_agree_everywhere_leave_nothing_to_choose(network):
+    sharp = picture().requires_grad_()
+    share = network(sharp, sharp.detach().clone(), CODE, 0)
     assert share.shape == (SIZE, SIZE, 1)
-    assert share.min() > 0
+    assert share.abs().max() == 0
+    assert not share.requires_grad
+
+
+@pytest.mark.parametrize("size", [(4, 4), (1, 5), (5, 1)])
+def test_the_gradient_is_that_of_differences(network, size):
+    sharp = picture()[: size[0], : size[1]].clone()
+    other = sharp + 1
+    other[0, 0] = sharp[0, 0] + torch.tensor([0.0, 0.0, 3.0])
+    small, code = sharp.requires_grad_(), CODE.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda x, c: network(x, other.detach(), c, 0), (small, code))
 
 
 def test_the_position_code_is_sines_and_cosines_of_rows_and_columns_at_four_rates():
