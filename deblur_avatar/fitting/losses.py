@@ -4,12 +4,9 @@ Conventions. Images are sRGB in [0, 1]; means run over all pixels and channels, 
 depend on the resolution.
 """
 
-from typing import Any
-
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from deblur_avatar.imaging.lpips import SMALLEST_SIDE, Lpips
 
@@ -103,31 +100,6 @@ def skinning(
     return (weights - body_weights).square().sum(1).mean()
 
 
-def isotropy_of_means(
-    canonical: Float[Tensor, "N 3"],
-    posed: Float[Tensor, "N 3"],
-    neighbours: Int64[Tensor, "N K"],
-) -> Float[Tensor, ""]:
-    """Neighbours keep their distances when the body moves, metres.
-
-    Source: 3DGS-Avatar, L_isopos, after Prokudin et al., "as isometric as possible".
-    """
-    return (_spacings(canonical, neighbours) - _spacings(posed, neighbours)).abs().mean()
-
-
-def isotropy_of_covars(
-    canonical: Float[Tensor, "N 6"],
-    posed: Float[Tensor, "N 6"],
-    neighbours: Int64[Tensor, "N K"],
-) -> Float[Tensor, ""]:
-    """Neighbours keep the differences of their covariances, square metres.
-
-    Source: 3DGS-Avatar, L_isocov. Like there, off-diagonal entries count once, so the term is not
-    quite invariant under rotation.
-    """
-    return (_spacings(canonical, neighbours) - _spacings(posed, neighbours)).abs().mean()
-
-
 def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Float[Tensor, ""]:
     """Mean absolute difference between a Gaussian's values and its neighbours'.
 
@@ -135,31 +107,6 @@ def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -
     those of the nearest that it does see. Absolute, so that an edge costs no more than a slope.
     """
     return _apart(values, neighbours).abs().mean()
-
-
-def _spacings(values: Tensor, neighbours: Tensor) -> Tensor:
-    return _Spacings.apply(values, neighbours)
-
-
-class _Spacings(torch.autograd.Function):
-    # The gradient is by hand: autograd goes over D x K x N numbers more often.
-    @staticmethod
-    def forward(ctx: Any, values: Tensor, neighbours: Tensor) -> Tensor:
-        apart = _apart(values, neighbours)
-        # Not `norm`: two Gaussians in one place are the case where its gradient is not a number.
-        squared = apart.square().sum(0)
-        spacings = squared.clamp(min=torch.finfo(values.dtype).tiny).sqrt()
-        ctx.save_for_backward(apart, spacings, neighbours)
-        return spacings
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
-        apart, spacings, neighbours = ctx.saved_tensors
-        pull = apart * (grad / spacings)
-        index = neighbours.T.reshape(1, -1).expand(len(pull), -1)
-        rows = pull.sum(1).neg_().scatter_add_(1, index, pull.flatten(1))
-        return rows.T, None
 
 
 def _apart(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Tensor:

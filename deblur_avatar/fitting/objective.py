@@ -15,6 +15,7 @@ from deblur_avatar.avatar.model import AvatarModel, encode
 from deblur_avatar.avatar.motion import Instants, Trajectory
 from deblur_avatar.config import StartParams
 from deblur_avatar.fitting import losses
+from deblur_avatar.fitting.isotropy import isotropy
 from deblur_avatar.fitting.surface_height import Feet, feet_of
 from deblur_avatar.fitting.targets import Target
 from deblur_avatar.imaging.lpips import configured_lpips
@@ -155,10 +156,8 @@ class Objective:
         near = self.near()
         canonical = self._model.gaussians.means, self._model.canonical_covariances()
         return {
-            "isotropy_means": weights.isotropy_means
-            * losses.isotropy_of_means(canonical[0], posed_means, near),
-            "isotropy_covars": weights.isotropy_covars
-            * losses.isotropy_of_covars(canonical[1], posed_covars, near),
+            "isotropy_means": weights.isotropy_means * isotropy(canonical[0], posed_means, near),
+            "isotropy_covars": weights.isotropy_covars * isotropy(canonical[1], posed_covars, near),
         }
 
     def skinning(self, iteration: int) -> dict[str, Tensor]:
