@@ -25,16 +25,13 @@ from deblur_avatar.avatar.body import (
 from deblur_avatar.avatar.gaussians import Gaussians, gaussians_on_surface
 from deblur_avatar.avatar.networks import ConditionedMLP, one_blob
 from deblur_avatar.avatar.pose_encoder import PoseEncoder
-from deblur_avatar.avatar.posing import covariances, pose_gaussians
+from deblur_avatar.avatar.posing import pose_gaussians
 from deblur_avatar.avatar.skinning_field import SkinningField, surface_weights
+from deblur_avatar.avatar.spreads import covariances, spreads
 from deblur_avatar.config import ModelParams, parse
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import camera_centres
-from deblur_avatar.geometry.rotations import (
-    axis_angle_to_matrix,
-    quat_multiply,
-    quat_to_matrix,
-)
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import blend_transforms, invert_rigid, skin_points
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.imaging.rasterizers import rasterize
@@ -178,8 +175,8 @@ class AvatarModel(nn.Module):
         """
         gaussians = self.gaussians
         means: Tensor = gaussians.means
-        quats: Tensor = gaussians.quats
         log_scales: Tensor = gaussians.log_scales
+        turn = None
         code = None
         codes = self.params.nonrigid.codes if self.params.nonrigid is not None else 0
         deformation = means.new_zeros(len(means), codes)
@@ -192,15 +189,14 @@ class AvatarModel(nn.Module):
                 change = self.nonrigid(encoded, code)
                 shift, stretch, turn, deformation = change.split([3, 3, 3, codes], dim=1)
                 means, log_scales = means + shift, log_scales + stretch
-                quats = quat_multiply(nn.functional.pad(turn, (1, 0), value=1.0), quats)
-        spreads = quat_to_matrix(quats) * log_scales.exp()[:, None, :]
+        reach = spreads(gaussians.quats, log_scales.exp(), turn)
         weights = self.weights_at(means)
-        return Dressed(means, spreads, weights, deformation, code, frame)
+        return Dressed(means, reach, weights, deformation, code, frame)
 
     def canonical_covariances(self) -> Float[Tensor, "N 6"]:
         """Covariances before any deformation."""
         gaussians = self.gaussians
-        return covariances(quat_to_matrix(gaussians.quats) * gaussians.scales[:, None, :])
+        return covariances(spreads(gaussians.quats, gaussians.scales))
 
     def weights_at(self, means: Float[Tensor, "N 3"]) -> Float[Tensor, "N J"]:
         """Blend weights where the non-rigid network has moved the Gaussians.

@@ -1,7 +1,6 @@
 """Linear blend skinning of Gaussians: posed means and covariances in B poses at once.
 
-Conventions. A Gaussian's *spread* is its rotation times its scales; its covariance is spread
-spread^T, its upper triangle xx, xy, xz, yy, yz, zz. Transforms go from canonical to posed.
+Conventions. Spreads and covariances are those of `spreads`. Transforms go from canonical to posed.
 
 Float32 tensors on the CPU are posed by a native kernel: in plain torch this step costs several
 times the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
@@ -18,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from deblur_avatar.avatar.spreads import covariances_reference
 from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library
 
 KERNEL: Final = Path(__file__).with_name("posing.cpp")
@@ -51,14 +51,7 @@ def pose_gaussians_reference(
     shift = lbs_weights @ transforms[:, :, :3, 3]
     posed = (rotation * means[:, None, :]).sum(-1) + shift
     turned = (rotation[..., :, :, None] * spreads[:, None, :, :]).sum(-2)
-    return posed, covariances(turned)
-
-
-def covariances(spreads: Float[Tensor, "*batch N 3 3"]) -> Float[Tensor, "*batch N 6"]:
-    """Upper triangles xx, xy, xz, yy, yz, zz of spreads spreads^T."""
-    a, b, c = spreads.unbind(-2)
-    products = [(a, a), (a, b), (a, c), (b, b), (b, c), (c, c)]
-    return torch.stack([(p * q).sum(-1) for p, q in products], dim=-1)
+    return posed, covariances_reference(turned)
 
 
 class _Posing(torch.autograd.Function):

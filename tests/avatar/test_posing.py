@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from deblur_avatar.avatar import posing
-from deblur_avatar.avatar.posing import covariances, pose_gaussians, pose_gaussians_reference
+from deblur_avatar.avatar.posing import pose_gaussians, pose_gaussians_reference
+from deblur_avatar.avatar.spreads import covariances
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.rasterizers.native_build import BuildError
 
