@@ -15,7 +15,7 @@ import jinja2
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.pipeline.comparison import Result, averaged, compared, spread
-from deblur_avatar.pipeline.report import chart_files, read_results
+from deblur_avatar.pipeline.report import chart_files, read_results, write_files
 from deblur_avatar.pipeline.results_table import (
     DRAWING,
     FLIP,
@@ -30,14 +30,7 @@ from deblur_avatar.pipeline.results_table import (
     look_up,
     shown_with_spread,
 )
-from deblur_avatar.pipeline.speed_accuracy import (
-    SPEED_ACCURACY,
-    Row,
-    chart,
-    drawn,
-    rows_of_methods,
-    with_speed,
-)
+from deblur_avatar.pipeline.speed_accuracy import Row, rows_of_methods, with_speed
 
 TEMPLATE = "ablations.html.jinja"
 MEMORY = Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1)
@@ -121,7 +114,7 @@ class AblationReport:
     page: str
     tables: str
     summary: dict[str, Any]
-    rows: list[Row]  # of the chart
+    charts: dict[str, bytes]  # files by name
 
     def save(self, folder: Path) -> None:
         """Write `index.html`, `tables.md`, `summary.json` and the chart `speed_accuracy`.
@@ -129,14 +122,8 @@ class AblationReport:
         Raises:
             ArtifactError: if the disk refuses.
         """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / "index.html").write_text(self.page)
-            (folder / "tables.md").write_text(self.tables)
-            for file, content in chart_files("speed_accuracy", self.rows).items():
-                (folder / file).write_bytes(content)
-        except OSError as error:
-            raise ArtifactError(f"cannot write {folder}: {error}") from error
+        files = {"index.html": self.page.encode(), "tables.md": self.tables.encode()}
+        write_files(folder, files | self.charts)
         run.write_json(folder / "summary.json", self.summary)
 
 
@@ -157,10 +144,10 @@ def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
     tables = [table for section in SECTIONS if len((table := _table(section, seeds))[1]) > 1]
     text = f"{about} Grey columns: the paper's own numbers, of another data set.\n\n"
     text += "\n".join(_markdown(section, table) for section, table in tables)
-    rows = _rows(seeds, scene)
-    picture = drawn(chart(SPEED_ACCURACY, rows))
+    charts = chart_files("speed_accuracy", _rows(seeds, scene))
+    picture = charts.get("speed_accuracy.svg", b"").decode()
     return AblationReport(
-        _page(about, tables, picture), text, _summary(seeds, scene, schedule), rows
+        _page(about, tables, picture), text, _summary(seeds, scene, schedule), charts
     )
 
 

@@ -76,7 +76,7 @@ class Report:
     page: str
     summary: dict[str, Any]
     tables: str  # Markdown
-    rows: dict[str, list[Row]]  # of each chart
+    charts: dict[str, bytes]  # files by name
     strip: Picture | None  # for the README
     log: str  # for a terminal
 
@@ -90,16 +90,7 @@ class Report:
             ArtifactError: if the disk refuses.
         """
         files = {"index.html": self.page.encode(), "table.md": self.tables.encode()}
-        for name, rows in self.rows.items():
-            files |= chart_files(name, rows)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            for file, content in files.items():
-                scratch = folder / f".{file}.part"
-                scratch.write_bytes(content)
-                scratch.replace(folder / file)
-        except OSError as error:
-            raise ArtifactError(f"cannot write {folder}: {error}") from error
+        write_files(folder, files | self.charts)
         run.write_json(folder / "summary.json", self.summary)
         run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
         if self.strip is not None:
@@ -124,10 +115,8 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
         for scene, results in read_results(metrics).items()
     }
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
-    rows = {
-        "speed_accuracy": rows_of_methods(scenes),
-        "quality_over_time": rows_over_time(timelines),
-    }
+    charts = chart_files("speed_accuracy", rows_of_methods(scenes))
+    charts |= chart_files("quality_over_time", rows_over_time(timelines))
     main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     repeated = _repeated(scenes)
     if repeated is not None:
@@ -135,7 +124,7 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
     page = _page(
         headline=_headline(scenes),
         machine=_machine(scenes),
-        charts={name: drawn(chart(CHARTS[name], found)) for name, found in rows.items() if found},
+        charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
         quiet=(NOT_MEASURED, NOT_KNOWN),
         repeated=repeated,
         scenes=[
@@ -156,7 +145,7 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
         page=page,
         summary=_summary(scenes),
         tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
-        rows=rows,
+        charts=charts,
         strip=_readme_strip(strips),
         log=_log(main),
     )
@@ -183,6 +172,22 @@ def chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
         content[f"{name}.svg"] = drawn(specification).encode()
         content[f"{name}.png"] = drawn_png(specification)
     return content
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, each moved into place once it is whole.
+
+    Raises:
+        ArtifactError: if the disk refuses.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, content in files.items():
+            scratch = folder / f".{file}.part"
+            scratch.write_bytes(content)
+            scratch.replace(folder / file)
+    except OSError as error:
+        raise ArtifactError(f"cannot write {folder}: {error}") from error
 
 
 def _timelines(metrics: Path) -> dict[str, Results]:

@@ -21,7 +21,7 @@ from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.check import check_scene
 from deblur_avatar.pipeline.stability_fit import Bench, fit_method, lengthened
 from deblur_avatar.pipeline.stability_input import prepare
-from deblur_avatar.pipeline.stability_measures import Measured, averaged, measure
+from deblur_avatar.pipeline.stability_measures import Measured, mean_of_draws, measure
 from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams
 
 logger = logging.getLogger(__name__)
@@ -102,7 +102,7 @@ def _attempt(
             if "oracle" in severity.fit and bench.method.trajectory.supervision == "sharp":
                 assert prepared.sharp is not None  # the studio knows all
                 sharp = _draws(prepared.sharp, severity, bench, prepared.blurred, reference)
-                row["oracle"] = averaged([measured.numbers for measured in sharp])
+                row["oracle"] = mean_of_draws([measured.numbers for measured in sharp])
         except (ConfigError, ArtifactError) as error:
             return {**row, "refused": f"{type(error).__name__}: {error}", "warnings": heard}, None
         except Exception as error:  # a crash is what this suite looks for
@@ -110,7 +110,7 @@ def _attempt(
             return {**row, "crashed": f"{type(error).__name__}: {error}", "warnings": heard}, None
     told = list(dict.fromkeys(heard))  # each draw says the same again
     worst = min(drawn, key=lambda measured: measured.numbers["score"])
-    return {**row, **averaged([m.numbers for m in drawn]), "warnings": told}, worst
+    return {**row, **mean_of_draws([m.numbers for m in drawn]), "warnings": told}, worst
 
 
 def _draws(

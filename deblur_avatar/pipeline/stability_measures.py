@@ -85,7 +85,7 @@ def measure(
     return Measured(numbers, _worst(observations, shown))
 
 
-def averaged(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def mean_of_draws(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The means of what several draws of one fit measured; what is no number is the first's.
 
     `scores` keeps every draw's score; a number that one draw could not measure is None.

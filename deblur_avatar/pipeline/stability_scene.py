@@ -18,7 +18,7 @@ from deblur_avatar.avatar.capsule_body import capsule_body
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.pipeline.stability_fit import Bench, fit_method
 from deblur_avatar.pipeline.stability_input import prepare
-from deblur_avatar.pipeline.stability_measures import averaged, measure
+from deblur_avatar.pipeline.stability_measures import mean_of_draws, measure
 from deblur_avatar.pipeline.stability_motions import stability_move
 from deblur_avatar.pipeline.stability_params import StabilitySceneParams
 from deblur_avatar.sources.studio.motion import Moves
@@ -80,4 +80,4 @@ def measure_ceiling(
     assert prepared.exact is not None  # the studio knows all
     fits = (fit_method(prepared.exact, bench, draw=draw) for draw in range(draws))
     measured = [measure(prepared.blurred, reference, fitted, bench.device) for fitted in fits]
-    return averaged([one.numbers for one in measured])
+    return mean_of_draws([one.numbers for one in measured])

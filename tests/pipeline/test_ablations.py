@@ -73,9 +73,28 @@ def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
 
 
 def test_the_chart_has_means_between_their_spreads_and_the_front_of_the_means(results):
-    rows = {row["method"]: row for row in report_ablations(results, "studio", "quick").rows}
+    charts = report_ablations(results, "studio", "quick").charts
+    rows = {row["method"]: row for row in json.loads(charts["speed_accuracy.json"])}
     assert rows["paper"]["psnr_db"] == 28.0
     assert rows["paper"]["psnr_high_db"] == pytest.approx(28.0 + 2**0.5, abs=1e-3)
     assert rows["paper"]["psnr_low_db"] == pytest.approx(28.0 - 2**0.5, abs=1e-3)
     assert rows["paper"]["training_s"] == 100.5
     assert [method for method, row in rows.items() if row["pareto"]] == ["paper"]
+
+
+def test_a_disk_that_refuses_leaves_the_last_report_whole(results, tmp_path, monkeypatch):
+    folder = tmp_path / "out"
+    report = report_ablations(results, "studio", "quick")
+    report.save(folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert not any(name.endswith(".part") for name in before)
+
+    def half(path, content):
+        with path.open("wb") as file:
+            file.write(content[: len(content) // 2])
+        raise OSError("disk full")
+
+    monkeypatch.setattr(type(folder), "write_bytes", half)
+    with pytest.raises(ArtifactError, match=r"cannot write .*out: disk full"):
+        report.save(folder)
+    assert before.items() <= {path.name: path.read_bytes() for path in folder.iterdir()}.items()
