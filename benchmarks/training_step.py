@@ -169,10 +169,11 @@ def naive(fit: AvatarFit) -> Step:
         mean = torch.stack([image for image, *_ in drawn]).mean(0)
         alpha = torch.stack([alpha for _, alpha, *_ in drawn]).mean(0)
         centre = instants.centre_rotations, instants.centre_transl
-        sharp, _, dressed, posed = render(index, *centre)
+        sharp, sharp_alpha, dressed, posed = render(index, *centre)
         assert fit.fusion is not None
         assert dressed.pose_code is not None
-        blend = fit.fusion(sharp, mean, dressed.pose_code, index)
+        covered = (alpha > 0) | (sharp_alpha > 0)
+        blend = fit.fusion(sharp, covered, dressed.pose_code, index)
         last = fit._schedule.fusion - STEPS + iteration
         terms = fit.objective.pictures(
             [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target

@@ -175,7 +175,12 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one move: whole or not at all.
+    """Write a text file as `write_bytes` does."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file in one move: whole or not at all.
 
     Raises:
         ArtifactError: if the disk refuses.
@@ -184,7 +189,7 @@ def write_text(path: Path, text: str) -> None:
     scratch = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_text(text)
+        scratch.write_bytes(content)
         scratch.replace(path)
     except OSError as error:
         with contextlib.suppress(OSError):

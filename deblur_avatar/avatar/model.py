@@ -189,9 +189,9 @@ class AvatarModel(nn.Module):
                 change = self.nonrigid(encoded, code)
                 shift, stretch, turn, deformation = change.split([3, 3, 3, codes], dim=1)
                 means, log_scales = means + shift, log_scales + stretch
-        reach = spreads(gaussians.quats, log_scales.exp(), turn)
+        turned = spreads(gaussians.quats, log_scales.exp(), turn)
         weights = self.weights_at(means)
-        return Dressed(means, reach, weights, deformation, code, frame)
+        return Dressed(means, turned, weights, deformation, code, frame)
 
     def canonical_covariances(self) -> Float[Tensor, "N 6"]:
         """Covariances before any deformation."""

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from deblur_avatar.avatar.spreads import covariances_reference
-from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library
+from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library, pointers
 
 KERNEL: Final = Path(__file__).with_name("posing.cpp")
 
@@ -68,7 +68,7 @@ class _Posing(torch.autograd.Function):
         sizes = (poses, count, joints, torch.get_num_threads())
         library = _library()
         assert library is not None
-        library.pose(*sizes, *_pointers(*inputs, *posed))
+        library.pose(*sizes, *pointers(*inputs, *posed))
         ctx.save_for_backward(*inputs)
         ctx.sizes = sizes
         return posed
@@ -88,14 +88,10 @@ class _Posing(torch.autograd.Function):
         rows_grad = torch.empty_like(rows)
         upstream = means_grad.contiguous(), covars_grad.contiguous()
         library.pose_backward(
-            *ctx.sizes, *_pointers(*inputs, *upstream, *grads, weights_grad, partials, rows_grad)
+            *ctx.sizes, *pointers(*inputs, *upstream, *grads, weights_grad, partials, rows_grad)
         )
         transforms_grad = torch.nn.functional.pad(rows_grad.permute(1, 0, 2, 3), (0, 0, 0, 1))
         return *grads, weights_grad, transforms_grad
-
-
-def _pointers(*tensors: Tensor | None) -> list[ctypes.c_void_p]:
-    return [ctypes.c_void_p(None if t is None else t.data_ptr()) for t in tensors]
 
 
 @cache

@@ -2,12 +2,16 @@
 //
 // For every Gaussian, with t = (1, turn) where there are turns, q = t quat (Hamilton's product):
 //   spread = R(q) diag(scales), R(q) the rotation of q / |q|.
-// Each Gaussian is on its own: results do not depend on the number of threads. Sums are not
-// contracted and are in the order of the same formulas in torch.
+// Each Gaussian is on its own: results do not depend on the number of threads. Sums of spreads,
+// and of the gradients of quats and scales without turns, are not contracted and are in torch's order.
 
 #include <cstdint>
 
+#ifdef __clang__
+#pragma clang fp contract(off)
+#else
 #pragma GCC optimize("-ffp-contract=off")
+#endif
 
 namespace {
 

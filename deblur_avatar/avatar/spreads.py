@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from deblur_avatar.geometry.rotations import quat_multiply, quat_to_matrix
-from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library
+from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library, pointers
 
 KERNEL: Final = Path(__file__).with_name("spreads.cpp")
 
@@ -30,8 +30,16 @@ def spreads(
     scales: Float[Tensor, "N 3"],
     turns: Float[Tensor, "N 3"] | None = None,
 ) -> Float[Tensor, "N 3 3"]:
-    """Rotations times scales, of turned Gaussians if there are turns."""
-    if _native(quats):
+    """Rotations times scales, of turned Gaussians if there are turns.
+
+    Raises:
+        ValueError: the sizes do not fit.
+    """
+    for name, values, width in (("scales", scales, 3), ("turns", turns, 3), ("quats", quats, 4)):
+        if values is not None and values.shape != (len(quats), width):
+            wanted, got = [len(quats), width], [*values.shape]
+            raise ValueError(f"{name} must be {wanted}, got {got}")
+    if _native(quats, scales, *([] if turns is None else [turns])):
         return _Spreads.apply(quats, scales, turns)
     return spreads_reference(quats, scales, turns)
 
@@ -97,14 +105,13 @@ class _Covariances(torch.autograd.Function):
         return found
 
 
-def _native(values: Tensor) -> bool:
-    fits = values.device.type == "cpu" and values.dtype == torch.float32
-    return fits and _library() is not None
+def _native(*values: Tensor) -> bool:
+    fit = all(v.device.type == "cpu" and v.dtype == torch.float32 for v in values)
+    return fit and _library() is not None
 
 
 def _call(name: str, count: int, *tensors: Tensor | None) -> None:
-    pointers = [ctypes.c_void_p(None if t is None else t.data_ptr()) for t in tensors]
-    getattr(_library(), name)(count, torch.get_num_threads(), *pointers)
+    getattr(_library(), name)(count, torch.get_num_threads(), *pointers(*tensors))
 
 
 @cache

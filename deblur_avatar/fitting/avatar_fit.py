@@ -171,7 +171,8 @@ class AvatarFit:
             if mask == "centre":
                 covers = sharp.alpha
             if self.fusion is not None:
-                pictures["fused"] = self._fused(pictures, dressed, supervision)
+                covered = (drawn.alpha > 0).any(0) | (sharp.alpha[0] > 0)
+                pictures["fused"] = self._fused(pictures, covered, dressed, supervision)
         alpha = 1 - (1 - covers).prod(0) if mask == "union" else covers.mean(0)
         still = supervision == RELEASED and self._is_still(iteration, index)
         blended = self.fusion is not None
@@ -293,16 +294,17 @@ class AvatarFit:
             transl = torch.cat([instants.transl, transl])
         return self.model.transforms(rotations, transl)
 
-    def _fused(self, pictures: dict[str, Tensor], dressed: Dressed, supervision: str) -> Tensor:
+    def _fused(
+        self, pictures: dict[str, Tensor], covered: Tensor, dressed: Dressed, supervision: str
+    ) -> Tensor:
         """The fusion network's blend of the sharp and the averaged render."""
         assert self.fusion is not None
         sharp, mean = pictures["sharp"], pictures["mean"]
-        seen, other = sharp, mean
+        seen = sharp
         if supervision == RELEASED:
             seen = mean = mean.detach()
-            other = sharp
         code = dressed.pose_code if self.fusion.sees_pose else None
-        blend = self.fusion(seen, other, code, dressed.frame)
+        blend = self.fusion(seen, covered, code, dressed.frame)
         return torch.lerp(sharp, mean, blend)
 
     def _is_still(self, iteration: int, index: int) -> bool:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from deblur_avatar.avatar.networks import ConditionedMLP
 
-TOGETHER = 512  # pixels, whose multiples the network is evaluated at
+TOGETHER = 512  # rows of pixels are filled up to a multiple of it
 FREQUENCIES = 4  # of the position code: sine and cosine of rows and of columns, 16 numbers
 
 
@@ -39,28 +39,34 @@ class FusionNetwork(nn.Module):
         )
 
     def forward(
-        self, sharp: Float[Tensor, "H W 3"], averaged: Float[Tensor, "H W 3"],
+        self, sharp: Float[Tensor, "H W 3"], covered: Bool[Tensor, "H W"],
         pose_code: Float[Tensor, " E"] | None, frame: int,
     ) -> Float[Tensor, "H W 1"]:  # fmt: skip
-        """M in (0, 1) where the two renders differ; elsewhere it decides nothing and is 0.
+        """M in (0, 1) where either render shows anything; elsewhere it decides nothing and is 0.
 
-        Pixels where they agree are most of a picture: all but the person, a quarter of her box.
+        Args:
+            sharp: the render that the network looks at.
+            covered: pixels that a Gaussian reaches in one of both renders. The others, three
+                quarters of a person's box, are background in both, whatever M.
+            pose_code: of the frame's centre, if the network sees the pose.
+            frame: training position.
         """
-        height, width = sharp.shape[:2]
-        differ = (sharp != averaged).any(-1).flatten().nonzero()[:, 0]
+        height, width = covered.shape
+        asked = covered.flatten().nonzero()[:, 0]
         share = sharp.new_zeros(height * width)
-        if len(differ):
-            # And more of the first: a product is prepared anew for each number of rows it meets.
-            chosen = nn.functional.pad(differ, (0, -len(differ) % TOGETHER))
-            colors = _around(sharp, chosen)
+        if len(asked):
+            # Filled up with pixel 0, whose answers are dropped: a product is prepared anew for
+            # each number of rows it meets.
+            pixels = nn.functional.pad(asked, (0, -len(asked) % TOGETHER))
+            colors = _around(sharp, pixels)
             features = nn.functional.linear(colors, self.look.weight.flatten(1), self.look.bias)
-            position = position_code(height, width, sharp).flatten(0, 1)[chosen]
+            position = position_code(height, width, sharp).flatten(0, 1)[pixels]
             condition = self.frame_codes.weight[frame]
             if pose_code is not None:
                 condition = torch.cat([pose_code, condition])
             known = torch.cat([position, features], dim=1)
-            inside = self.network(known, condition)[: len(differ), 0].sigmoid()
-            share = share.scatter(0, differ, inside)
+            answers = self.network(known, condition)[: len(asked), 0].sigmoid()
+            share = share.scatter(0, asked, answers)
         return share.reshape(height, width, 1)
 
 

@@ -1,7 +1,7 @@
 """Neighbours keep their distances when the body moves: a term of the objective for means or shapes.
 
-Conventions. A *spacing* is the distance of a Gaussian's values from a neighbour's. Where two are
-the same, in the one pose or between both, the gradient is 0.
+Conventions. A *spacing* is the distance of a Gaussian's values from a neighbour's. A pose in which
+two are the same gets no gradient from them; where both spacings are equal, neither does.
 
 Float32 tensors on the CPU go through a native kernel, which finds the gradients along with the
 term: in plain torch this is many short calls over strided lists.
@@ -19,7 +19,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library
+from deblur_avatar.imaging.rasterizers.native_build import BuildError, load_library, pointers
 
 KERNEL: Final = Path(__file__).with_name("isotropy.cpp")
 
@@ -48,7 +48,8 @@ def isotropy(
             f"{[*canonical.shape]}, {[*posed.shape]} and {[*neighbours.shape]}"
         )
     native = all(v.device.type == "cpu" and v.dtype == torch.float32 for v in (canonical, posed))
-    if native and _library() is not None:
+    whole = neighbours.device.type == "cpu" and neighbours.dtype == torch.int64
+    if native and whole and _library() is not None:
         return _Isotropy.apply(canonical, posed, neighbours)
     return isotropy_reference(canonical, posed, neighbours)
 
@@ -83,7 +84,7 @@ class _Isotropy(torch.autograd.Function):
         library = _library()
         assert library is not None
         sizes = *canonical.shape, neighbours.shape[1]
-        problem = library.isotropy(*sizes, *_pointers(*inputs, loss, *grads))
+        problem = library.isotropy(*sizes, *pointers(*inputs, loss, *grads))
         if problem == _NO_SUCH_NEIGHBOUR:
             raise IndexError(f"neighbours must be indices of {len(canonical)} Gaussians")
         if problem == _NOT_FINITE:
@@ -95,10 +96,6 @@ class _Isotropy(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         return *(None if own is None else grad * own for own in ctx.saved_tensors), None
-
-
-def _pointers(*tensors: Tensor | None) -> list[ctypes.c_void_p]:
-    return [ctypes.c_void_p(None if t is None else t.data_ptr()) for t in tensors]
 
 
 @cache

@@ -50,7 +50,8 @@ def _measure(
     outline, normals = np.zeros((2, OUTLINE_POINTS, 2), np.float32)
     if not inside.any():
         return np.zeros(inside.shape, np.float32), outline, normals, np.array(False)
-    # Not OpenCV's: with one thread it reads memory that it never wrote (its issue 24082).
+    # Not OpenCV's: with one thread, or of a small picture, it asks Intel's IPP, which reads memory
+    # that it never wrote (opencv/opencv issue 24082).
     outside = SHRINK * distance_transform_edt(1 - inside).astype(np.float32)
     full = (matte >= INSIDE).astype(np.uint8)
     found, _ = cv2.findContours(full, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)

@@ -15,7 +15,7 @@ import jinja2
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.pipeline.comparison import Result, averaged, compared, spread
-from deblur_avatar.pipeline.report import chart_files, read_results, write_files
+from deblur_avatar.pipeline.report import chart_files, read_results
 from deblur_avatar.pipeline.results_table import (
     DRAWING,
     FLIP,
@@ -123,7 +123,8 @@ class AblationReport:
             ArtifactError: if the disk refuses.
         """
         files = {"index.html": self.page.encode(), "tables.md": self.tables.encode()}
-        write_files(folder, files | self.charts)
+        for file, content in (files | self.charts).items():
+            run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
 
 

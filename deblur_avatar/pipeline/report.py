@@ -15,7 +15,6 @@ import jinja2
 import numpy as np
 
 from deblur_avatar import run
-from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.pipeline.comparison import compared, pooled, spread
 from deblur_avatar.pipeline.picture_strips import (
@@ -90,7 +89,8 @@ class Report:
             ArtifactError: if the disk refuses.
         """
         files = {"index.html": self.page.encode(), "table.md": self.tables.encode()}
-        write_files(folder, files | self.charts)
+        for file, content in (files | self.charts).items():
+            run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
         run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
         if self.strip is not None:
@@ -172,22 +172,6 @@ def chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
         content[f"{name}.svg"] = drawn(specification).encode()
         content[f"{name}.png"] = drawn_png(specification)
     return content
-
-
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, each moved into place once it is whole.
-
-    Raises:
-        ArtifactError: if the disk refuses.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, content in files.items():
-            scratch = folder / f".{file}.part"
-            scratch.write_bytes(content)
-            scratch.replace(folder / file)
-    except OSError as error:
-        raise ArtifactError(f"cannot write {folder}: {error}") from error
 
 
 def _timelines(metrics: Path) -> dict[str, Results]:

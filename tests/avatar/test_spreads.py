@@ -1,3 +1,5 @@
+import inspect
+
 import pytest
 import torch
 
@@ -38,6 +40,14 @@ def test_the_kernel_and_its_twin_agree(turned, count):
     wanted = with_gradients(spreads_reference, exact)
     for one, other in zip(found, wanted, strict=True):
         torch.testing.assert_close(one.double(), other, rtol=2e-5, atol=2e-5)
+
+
+def test_without_turns_sums_are_in_the_order_of_the_twins():
+    inputs = scene()[:2]
+    for one, other in zip(
+        with_gradients(spreads, inputs), with_gradients(spreads_reference, inputs), strict=True
+    ):
+        torch.testing.assert_close(one, other, rtol=2e-7, atol=0)
 
 
 def test_covariances_are_upper_triangles_of_spreads_times_their_transpose():
@@ -87,16 +97,32 @@ def test_strided_inputs_are_taken_as_they_are_meant():
     apart = [torch.stack([v, -v], dim=1)[:, 0] for v in (quats, scales)]
     change = torch.cat([turns, turns, turns], dim=1)[:, 3:6]
     assert not change.is_contiguous()
-    assert torch.equal(spreads(*apart, change), spreads(quats, scales, turns))
+    for one, other in zip(
+        with_gradients(spreads, [*apart, change]),
+        with_gradients(spreads, [quats, scales, turns]),
+        strict=True,
+    ):
+        assert torch.equal(one, other)
+
+
+def test_what_the_kernel_does_not_read_goes_to_its_twin_or_is_refused():
+    quats, scales, turns = (value.detach() for value in scene(9))
+    exact = spreads_reference(quats, scales.double(), turns)
+    assert torch.equal(spreads(quats, scales.double(), turns), exact)
+    for wrong in ((quats, scales[:1]), (quats[:, :3], scales), (quats, scales, turns[:, :2])):
+        with pytest.raises(ValueError, match="must be"):
+            inspect.unwrap(spreads)(*wrong)
 
 
 @pytest.mark.parametrize("odd", [torch.nan, torch.inf])
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_what_is_not_finite_does_not_become_so(odd, which):
+def test_what_is_not_finite_is_not_hidden(odd, which):
     inputs = [value.detach().clone() for value in scene()]
     inputs[which][3, 1] = odd
-    assert not torch.isfinite(spreads(*inputs)[3]).all()
-    assert torch.isfinite(spreads(*inputs)[4:]).all()
+    found, *gradients = with_gradients(spreads, [value.requires_grad_() for value in inputs])
+    assert not torch.isfinite(found[3]).all()
+    assert not all(bool(torch.isfinite(value[3]).all()) for value in gradients)
+    assert all(bool(torch.isfinite(value[4:]).all()) for value in (found, *gradients))
 
 
 def test_it_is_the_kernel_that_float32_tensors_go_through(monkeypatch):

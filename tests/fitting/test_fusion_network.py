@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from deblur_avatar.fitting.fusion_network import FusionNetwork, position_code
+from deblur_avatar.fitting.fusion_network import TOGETHER, FusionNetwork, position_code
 
 SIZE = 8
 
@@ -21,28 +21,21 @@ def picture(seed=0):
     return torch.rand(SIZE, SIZE, 3, generator=generator, dtype=torch.float64)
 
 
-def averaged(sharp):
-    """Another render that differs in a block of 4 x 4, and in one channel of one pixel."""
-    other = sharp.detach().clone()
-    other[2:6, 1:5] = picture(1)[2:6, 1:5]
-    other[0, 7, 2] += 0.25
-    return other
-
-
 CODE = torch.linspace(-1, 1, 6, dtype=torch.float64)
-DIFFER = torch.zeros(SIZE, SIZE, dtype=torch.bool)
-DIFFER[2:6, 1:5] = DIFFER[0, 7] = True
+COVERED = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+COVERED[2:6, 1:5] = COVERED[0, 7] = True
+EVERYWHERE = torch.ones(SIZE, SIZE, dtype=torch.bool)
 
 
-def test_the_share_is_between_none_and_all_where_renders_differ_and_none_elsewhere(network):
-    share = network(picture(), averaged(picture()), CODE, 1)[..., 0]
-    assert ((share[DIFFER] > 0) & (share[DIFFER] < 1)).all()
-    assert share[~DIFFER].abs().max() == 0
+def test_the_share_is_between_none_and_all_where_anything_is_shown_and_none_elsewhere(network):
+    share = network(picture(), COVERED, CODE, 1)[..., 0]
+    assert ((share[COVERED] > 0) & (share[COVERED] < 1)).all()
+    assert share[~COVERED].abs().max() == 0
 
 
 def test_the_share_is_a_plain_network_over_everything_known_of_a_pixel(network):
     sharp = picture()
-    share = network(sharp, averaged(sharp), CODE, 2)[..., 0]
+    share = network(sharp, COVERED, CODE, 2)[..., 0]
     seen = torch.nn.functional.conv2d(
         sharp.permute(2, 0, 1)[None], network.look.weight, network.look.bias, padding=1
     )[0]
@@ -59,11 +52,10 @@ def test_the_share_is_a_plain_network_over_everything_known_of_a_pixel(network):
 
 @pytest.mark.parametrize("what", ["picture", "pose", "frame"])
 def test_the_share_depends_on_the_picture_the_pose_and_the_frame(network, what):
-    sharp = picture()
-    before = network(sharp, 1 - sharp, CODE, 0)
+    before = network(picture(), COVERED, CODE, 0)
     after = network(
-        picture(1) if what == "picture" else sharp,
-        1 - sharp,
+        picture(1) if what == "picture" else picture(),
+        COVERED,
         CODE + 1 if what == "pose" else CODE,
         1 if what == "frame" else 0,
     )
@@ -71,54 +63,68 @@ def test_the_share_depends_on_the_picture_the_pose_and_the_frame(network, what):
 
 
 def test_the_share_of_a_uniform_picture_still_depends_on_the_place(network):
-    black = torch.zeros_like(picture())
-    share = network(black, black + 1, CODE, 0)[2:6, 2:6, 0]
+    share = network(torch.zeros_like(picture()), EVERYWHERE, CODE, 0)[2:6, 2:6, 0]
     assert share.std() > 1e-5
 
 
 def test_both_renders_and_the_network_are_pulled(network):
-    sharp = picture().requires_grad_()
-    mean = averaged(sharp).requires_grad_()
-    share = network(sharp, mean, CODE, 1)
+    sharp, mean = picture().requires_grad_(), picture(1).requires_grad_()
+    share = network(sharp, COVERED, CODE, 1)
     fused = (1 - share) * sharp + share * mean
     fused.square().sum().backward()
-    assert (mean.grad[DIFFER].abs().sum(-1) > 0).all()
-    assert mean.grad[~DIFFER].abs().max() == 0
+    assert (mean.grad[COVERED].abs() > 0).all()
+    assert mean.grad[~COVERED].abs().max() == 0
     assert (sharp.grad.abs() > 0).all()
     assert all(value.grad is not None for value in network.parameters())
     assert network.frame_codes.weight.grad[[0, 2]].abs().max() == 0
 
 
-def test_pixels_left_out_change_neither_the_picture_nor_what_the_network_learns(network):
+@pytest.mark.parametrize("detached", [False, True])
+def test_leaving_out_what_nothing_covers_changes_no_value_and_no_gradient(network, detached):
+    """Two renders are the same background there, and do not depend on anything."""
     results = []
-    for everywhere in (False, True):
-        sharp = picture().requires_grad_()
-        mean = averaged(sharp).requires_grad_()
-        share = network(sharp, mean + 1 if everywhere else mean, CODE, 1)
-        fused = torch.lerp(sharp, mean, share)
-        of_sharp, of_mean, *others = torch.autograd.grad(
-            fused.square().sum(), [sharp, mean, *network.parameters()]
-        )
-        results.append([fused, of_sharp + of_mean, *others])
+    for asked in (COVERED, EVERYWHERE):
+        raw = [picture().requires_grad_(), picture(1).requires_grad_()]
+        raw[1].data[3, 2] = raw[0].data[3, 2]  # covered, and alike by chance
+        sharp, mean = (COVERED[..., None] * value for value in raw)
+        share = network(sharp, asked, CODE, 1)
+        fused = torch.lerp(sharp, mean.detach() if detached else mean, share)
+        unknowns = [raw[0], *([] if detached else raw[1:]), *network.parameters()]
+        results.append([fused, *torch.autograd.grad(fused.square().sum(), unknowns)])
     for some, every in zip(*results, strict=True):
         torch.testing.assert_close(some, every)
 
 
-def test_renders_that_agree_everywhere_leave_nothing_to_choose(network):
-    sharp = picture().requires_grad_()
-    share = network(sharp, sharp.detach().clone(), CODE, 0)
+def test_renders_that_show_nothing_leave_nothing_to_choose(network):
+    share = network(picture().requires_grad_(), ~EVERYWHERE, CODE, 0)
     assert share.shape == (SIZE, SIZE, 1)
     assert share.abs().max() == 0
     assert not share.requires_grad
 
 
+@pytest.mark.parametrize("count", [1, TOGETHER - 1, TOGETHER, TOGETHER + 1])
+def test_rows_that_fill_up_answer_for_nobody(network, count):
+    """In single precision, too, in which products may be of halves."""
+    sharp = torch.rand(24, 30, 3, generator=torch.Generator().manual_seed(0))
+    covered = torch.zeros(24 * 30, dtype=torch.bool)
+    covered[-count:] = True
+    covered = covered.reshape(24, 30)
+    wanted = network(sharp.double(), covered, CODE, 1)
+    single = network.float()
+    found = single(sharp, covered, CODE.float(), 1)
+    assert ((found > 0)[..., 0] == covered).all()
+    torch.testing.assert_close(found.double(), wanted, atol=5e-3, rtol=0)
+    found.sum().backward()
+    assert all(torch.isfinite(value.grad).all() for value in single.parameters())
+
+
 @pytest.mark.parametrize("size", [(4, 4), (1, 5), (5, 1)])
 def test_the_gradient_is_that_of_differences(network, size):
-    sharp = picture()[: size[0], : size[1]].clone()
-    other = sharp + 1
-    other[0, 0] = sharp[0, 0] + torch.tensor([0.0, 0.0, 3.0])
-    small, code = sharp.requires_grad_(), CODE.clone().requires_grad_()
-    assert torch.autograd.gradcheck(lambda x, c: network(x, other.detach(), c, 0), (small, code))
+    small = picture()[: size[0], : size[1]].clone().requires_grad_()
+    covered = torch.ones(size, dtype=torch.bool)
+    covered[0, 0] = False
+    code = CODE.clone().requires_grad_()
+    assert torch.autograd.gradcheck(lambda x, c: network(x, covered, c, 0), (small, code))
 
 
 def test_the_position_code_is_sines_and_cosines_of_rows_and_columns_at_four_rates():

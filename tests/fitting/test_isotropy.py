@@ -253,6 +253,12 @@ def test_sizes_that_do_not_fit_are_refused(dtype):
         inspect.unwrap(isotropy)(*pair(4, 3, dtype), near)
 
 
+def test_neighbours_of_another_type_go_to_the_twin():
+    near, values = others(5, 2).int(), pair(5, 3, torch.float32)
+    found, wanted = (inspect.unwrap(f)(*values, near) for f in (isotropy, isotropy_reference))
+    assert torch.equal(found, wanted)
+
+
 @BOTH
 @pytest.mark.parametrize("wrong", [5, 1 << 40])
 def test_a_neighbour_that_there_is_not_is_refused(wrong, dtype):

@@ -18,6 +18,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from torch import Tensor
+
 # Overrides where libraries are kept.
 CACHE_VARIABLE: Final = "DEBLUR_AVATAR_CACHE"
 
@@ -42,6 +44,11 @@ class BuildError(RuntimeError):
 
 class _CompilerError(BuildError):
     """The compiler refuses the source or a flag."""
+
+
+def pointers(*tensors: Tensor | None) -> list[ctypes.c_void_p]:
+    """Where contiguous tensors begin, for a library's arguments; null for None."""
+    return [ctypes.c_void_p(None if t is None else t.data_ptr()) for t in tensors]
 
 
 def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:

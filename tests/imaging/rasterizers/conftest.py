@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from deblur_avatar import run
 from deblur_avatar.imaging.rasterizers import Rasterization, covariances, rasterize
 
 
@@ -76,10 +77,8 @@ class Scene:
 @pytest.fixture(autouse=True)
 def _one_thread() -> Iterator[None]:
     """The scenes are small; on a busy machine threads would only wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with run.one_thread():
+        yield
 
 
 MakeScene = Callable[..., Scene]
