@@ -253,10 +253,10 @@ def test_sizes_that_do_not_fit_are_refused(dtype):
         inspect.unwrap(isotropy)(*pair(4, 3, dtype), near)
 
 
-def test_neighbours_of_another_type_go_to_the_twin():
-    near, values = others(5, 2).int(), pair(5, 3, torch.float32)
-    found, wanted = (inspect.unwrap(f)(*values, near) for f in (isotropy, isotropy_reference))
-    assert torch.equal(found, wanted)
+def test_neighbours_of_another_type_go_to_the_twin(monkeypatch):
+    monkeypatch.setattr(module, "isotropy_reference", lambda *inputs: inputs)
+    values, near = pair(5, 3, torch.float32), others(5, 2).int()
+    assert inspect.unwrap(isotropy)(*values, near)[2] is near
 
 
 @BOTH
