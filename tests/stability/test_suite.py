@@ -17,7 +17,7 @@ from deblur_avatar.config import (
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.pipeline.stability import PICTURES, endure, film_of
 from deblur_avatar.pipeline.stability_fit import Bench
-from deblur_avatar.pipeline.stability_measures import averaged
+from deblur_avatar.pipeline.stability_measures import mean_of_draws
 from deblur_avatar.pipeline.stability_params import ModeParams, SeverityParams, StabilitySceneParams
 from deblur_avatar.pipeline.stability_report import report_stability
 from deblur_avatar.pipeline.stability_scene import film_scene, measure_ceiling
@@ -199,7 +199,9 @@ def test_the_same_recipe_on_sharp_frames_stands_beside(suite, start, modes):
 
 
 def test_what_one_draw_could_not_measure_has_no_mean():
-    row = averaged([{"score": 1.0, "a": 2.0, "b": True}, {"score": 3.0, "a": None, "b": False}])
+    row = mean_of_draws(
+        [{"score": 1.0, "a": 2.0, "b": True}, {"score": 3.0, "a": None, "b": False}]
+    )
     assert row == {"score": 2.0, "a": None, "b": False, "scores": [1.0, 3.0]}
 
 
