@@ -8,13 +8,13 @@ instants one by one, networks evaluated for each, coverage rendered apart. Both 
 turns of a few steps, so that a busy machine slows them alike. The scene is a person of capsules.
 `--methods` names some of the methods; all of them take minutes.
 
-Kinds of work: `rasterizer` and `posing kernel` are the two native kernels; `layers` is all inside a
-stack of network layers, where products, ReLUs and rounding alternate; `matrix products` is what of
-that, and of everything else but the kernels, are products in the narrow sense.
-`rasterizer_and_products` is the share of both kernels and of products in the narrow sense: posing
-is skinning's products of matrices, written as a kernel. The profiler slows down many short calls,
-not long ones, so this share is rather too low, and `kernels_and_layers_ms` is to be held against
-`ms`.
+Kinds of work: `rasterizer`, `posing kernel`, `spreads kernel` and `isotropy kernel` are native;
+`layers` is all inside a stack of network layers, where products, ReLUs and rounding alternate;
+`matrix products` is what of that, and of everything else but the kernels, are products in the
+narrow sense. `rasterizer_and_products` is the share of the rasterizer, of posing, of spreads and of
+products in the narrow sense: posing and spreads are products of matrices, written as kernels;
+isotropy is none. The profiler slows down many short calls, not long ones, so this share is rather
+too low, and `kernels_and_layers_ms` is to be held against `ms`.
 """
 
 import argparse
@@ -284,12 +284,11 @@ def _work(events: list[FunctionEvent], steps: int) -> dict[str, Any]:
         if event.name.startswith("mkldnn::") or event.name.removeprefix("aten::") in PRODUCTS:
             products += took
     total = sum(spent.values())
+    native = sum(spent[kind] for kind in ("rasterizer", "posing kernel", "spreads kernel"))
     return {
         "work": _shares(spent),
         "matrix products": round(products / total, 4),
-        "rasterizer_and_products": round(
-            (spent["rasterizer"] + spent["posing kernel"] + products) / total, 4
-        ),
+        "rasterizer_and_products": round((native + products) / total, 4),
         "kernels_and_layers_ms": round(1e-3 * (total - spent["other"]) / steps, 2),
         "recorded_ms": round(1e-3 * total / steps, 2),
     }
@@ -309,7 +308,10 @@ def _part(event: FunctionEvent | None) -> str | None:
 
 
 def _kind(event: FunctionEvent | None) -> str:
-    kernels = {"_Rasterize": "rasterizer", "_Posing": "posing kernel", "_Layers": "layers"}
+    kernels = {
+        "_Rasterize": "rasterizer", "_Posing": "posing kernel", "_Spreads": "spreads kernel",
+        "_Covariances": "spreads kernel", "_Isotropy": "isotropy kernel", "_Layers": "layers",
+    }  # fmt: skip
     while event is not None:
         for name, kind in kernels.items():
             if event.name in (name, f"{name}Backward"):
