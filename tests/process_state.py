@@ -1,11 +1,14 @@
 """What a stage switches for its whole process, switched back where one runs beside other tests."""
 
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 import torch
+
+T = TypeVar("T")
 
 
 @contextmanager
@@ -21,3 +24,17 @@ def process_state_kept() -> Iterator[None]:
     random.setstate(states[0])
     np.random.set_state(states[1])  # noqa: NPY002
     torch.set_rng_state(states[2])
+
+
+def by_threads(make: Callable[[], T], *counts: int) -> list[T]:
+    """What comes out with each number of torch's threads; the call leaves that number alone."""
+    before = torch.get_num_threads()
+    try:
+        results = []
+        for count in counts:
+            torch.set_num_threads(count)
+            results.append(make())
+            assert torch.get_num_threads() == count
+        return results
+    finally:
+        torch.set_num_threads(before)

@@ -6,6 +6,7 @@ from deblur_avatar.avatar.posing import pose_gaussians, pose_gaussians_reference
 from deblur_avatar.avatar.spreads import covariances
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from tests.process_state import by_threads
 
 JOINTS = 24
 
@@ -67,14 +68,7 @@ def test_it_is_the_kernel_that_float32_tensors_are_posed_by(monkeypatch):
 
 
 def test_the_number_of_threads_changes_no_bit():
-    before = torch.get_num_threads()
-    try:
-        results = []
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
-            results.append(with_gradients(pose_gaussians, scene(2000, 5)))
-    finally:
-        torch.set_num_threads(before)
+    results = by_threads(lambda: with_gradients(pose_gaussians, scene(2000, 5)), 1, 2)
     for one, two in zip(*results, strict=True):
         assert torch.equal(one, two)
 

@@ -11,6 +11,8 @@ from deblur_avatar.avatar.spreads import (
     spreads_reference,
 )
 from deblur_avatar.geometry.rotations import quat_to_matrix
+from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from tests.process_state import by_threads
 
 COUNT = 500
 
@@ -132,20 +134,23 @@ def test_it_is_the_kernel_that_float32_tensors_go_through(monkeypatch):
     covariances(spreads(*scene()))
 
 
-def test_without_a_compiler_there_is_the_twin(monkeypatch):
+def test_without_a_compiler_there_is_the_twin_and_a_warning_says_why(monkeypatch):
+    def fail(source):
+        raise BuildError("no C++ compiler")
+
+    monkeypatch.setattr(module, "load_library", fail)
+    with pytest.warns(UserWarning, match="plain torch, slowly: no C"):
+        library = module._library.__wrapped__()
+    assert library is None
     monkeypatch.setattr(module, "_library", lambda: None)
     inputs = scene()
     assert torch.equal(spreads(*inputs), spreads_reference(*inputs))
 
 
 def test_the_number_of_threads_changes_no_bit():
-    before = torch.get_num_threads()
-    try:
-        results = []
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
-            results.append(with_gradients(lambda *i: covariances(spreads(*i)), scene(3000)))
-    finally:
-        torch.set_num_threads(before)
+    def both():
+        return with_gradients(lambda *inputs: covariances(spreads(*inputs)), scene(3000))
+
+    results = by_threads(both, 1, 2)
     for one, two in zip(*results, strict=True):
         assert torch.equal(one, two)

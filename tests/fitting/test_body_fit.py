@@ -11,6 +11,7 @@ from deblur_avatar.fitting.body_fit import BodyFit, fit_body
 from deblur_avatar.fitting.landmarks import Landmarks
 from deblur_avatar.fitting.track_smoothness import measure_track
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from tests.process_state import by_threads
 from tests.walking_person import FPS, detect_perfectly, ring_of_cameras, walking_poses
 
 FRAMES = 10
@@ -73,15 +74,7 @@ def test_a_seen_body_is_recovered(body: Body, truth: Poses, people: list[Landmar
 
 
 def test_the_number_of_threads_changes_no_bit(body: Body, people: list[Landmarks]):
-    before = torch.get_num_threads()
-    try:
-        results = []
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
-            results.append(motion(fit(body, people).poses))
-            assert torch.get_num_threads() == threads
-    finally:
-        torch.set_num_threads(before)
+    results = by_threads(lambda: motion(fit(body, people).poses), 1, 2)
     for one, two in zip(*results, strict=True):
         assert torch.equal(one, two)
 

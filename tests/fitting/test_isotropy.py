@@ -8,6 +8,7 @@ from deblur_avatar.fitting import isotropy as module
 from deblur_avatar.fitting.isotropy import isotropy, isotropy_reference
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from tests.process_state import by_threads
 
 BOTH = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # kernel, twin
 
@@ -211,14 +212,10 @@ def test_the_order_of_neighbours_and_of_gaussians_does_not_matter():
 
 
 def test_neither_a_second_time_nor_the_number_of_threads_changes_a_bit():
-    before = torch.get_num_threads()
-    try:
-        results = []
-        for threads in (1, 1, 2):
-            torch.set_num_threads(threads)
-            results.append(with_gradients(isotropy, *pair(6000, 6), others(6000, 4)))
-    finally:
-        torch.set_num_threads(before)
+    def again():
+        return with_gradients(isotropy, *pair(6000, 6), others(6000, 4))
+
+    results = by_threads(again, 1, 1, 2)
     for values in zip(*results, strict=True):
         assert torch.equal(values[0], values[1])
         assert torch.equal(values[0], values[2])

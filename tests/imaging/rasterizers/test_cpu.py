@@ -7,6 +7,7 @@ import torch
 
 from deblur_avatar.imaging.rasterizers import cpu, native_build, rasterize
 from deblur_avatar.imaging.rasterizers.covariances import upper_triangles
+from tests.process_state import by_threads
 
 F32, F64 = torch.float32, torch.float64
 
@@ -138,14 +139,7 @@ def test_so_they_are_for_narrower_vectors(make_scene, assert_parity, monkeypatch
 
 def test_the_result_does_not_depend_on_run_or_threads(make_scene):
     scene = make_scene(poses=3, gaussians=2000).but(average=True)
-    before = torch.get_num_threads()
-    try:
-        results = []
-        for threads in (1, 1, 2, 3, 7):
-            torch.set_num_threads(threads)
-            results.append(scene.differentiate("cpu", F32))
-    finally:
-        torch.set_num_threads(before)
+    results = by_threads(lambda: scene.differentiate("cpu", F32), 1, 1, 2, 3, 7)
     for result in results[1:]:
         for name, value in result.items():
             assert torch.equal(value, results[0][name]), name
