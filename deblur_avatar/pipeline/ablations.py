@@ -15,29 +15,38 @@ import jinja2
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.pipeline.comparison import Result, averaged, compared, spread
-from deblur_avatar.pipeline.report import chart_files, read_results
+from deblur_avatar.pipeline.report import chart_files, read_results, read_timelines
 from deblur_avatar.pipeline.results_table import (
     DRAWING,
     FLIP,
     GAUSSIANS,
     LPIPS,
+    NOT_MEASURED,
+    ON_DISK,
     PSNR,
     RECOVERY,
     SEEN,
     SSIM,
+    TO_PAPER,
     TRAINING,
     Column,
     look_up,
     shown_with_spread,
 )
-from deblur_avatar.pipeline.speed_accuracy import Row, rows_of_methods, with_speed
+from deblur_avatar.pipeline.speed_accuracy import (
+    MEASURE,
+    rows_of_methods,
+    rows_over_time,
+    with_speed,
+)
 
 TEMPLATE = "ablations.html.jinja"
 MEMORY = Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1)
 SIZE = Column(("model", "megabytes"), "size", "MB", 1, -1)
+NEVER = "never"  # as good as `paper` is in the end
 SSIM_RANGE_2 = Column(("image", "ssim_range2"), "SSIM (range 2)", "", 4, 1)
-COLUMNS = (PSNR, SSIM_RANGE_2, SSIM, LPIPS, FLIP, SEEN, RECOVERY, TRAINING, DRAWING, MEMORY,
-           GAUSSIANS, SIZE)  # fmt: skip
+COLUMNS = (PSNR, SSIM_RANGE_2, SSIM, LPIPS, FLIP, SEEN, RECOVERY, TRAINING, TO_PAPER, DRAWING,
+           MEMORY, GAUSSIANS, SIZE, ON_DISK)  # fmt: skip
 
 # arXiv 2501.13335: means over six scenes (ablations), scene 377 (number of virtual poses); PSNR dB,
 # SSIM, LPIPS x 1000.
@@ -117,7 +126,7 @@ class AblationReport:
     charts: dict[str, bytes]  # files by name
 
     def save(self, folder: Path) -> None:
-        """Write `index.html`, `tables.md`, `summary.json` and the chart `speed_accuracy`.
+        """Write `index.html`, `tables.md`, `summary.json` and the charts as `Report.save` does.
 
         Raises:
             ArtifactError: if the disk refuses.
@@ -128,58 +137,95 @@ class AblationReport:
         run.write_json(folder / "summary.json", self.summary)
 
 
+@dataclass(frozen=True)
+class _Seeds:
+    """What all seeds measured of one scene, by method."""
+
+    count: int
+    results: Mapping[str, Sequence[Result]]  # one a seed
+    means: Mapping[str, Result]
+    spreads: Mapping[str, Result]
+    timelines: Mapping[str, Result]  # means
+
+
 def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
-    """Gather `seed_*/metrics/<scene>/<method>.json` below a folder.
+    """Gather `seed_*/metrics/<scene>/<method>.json` and `.../timeline/*.json` below a folder.
 
     Raises:
-        ArtifactError: if no seed has results of the scene, or a file is damaged.
+        ArtifactError: if no seed has results of the scene, a file is damaged, or avatars kept on
+            the way are of other iterations from seed to seed.
     """
-    seeds = [
-        compared(results[scene])
-        for path in sorted(folder.glob("seed_*/metrics"))
-        if scene in (results := read_results(path))
-    ]
-    if not seeds:
-        raise ArtifactError(f"no results of {scene} below {folder}; run `dvc repro` there")
-    about = f"Scene {scene}, schedule {schedule}, novel views, {len(seeds)} seeds: mean ± spread."
+    seeds = _gathered(folder, scene)
+    about = f"Scene {scene}, schedule {schedule}, novel views, {seeds.count} seeds: mean ± spread."
     tables = [table for section in SECTIONS if len((table := _table(section, seeds))[1]) > 1]
     text = f"{about} Grey columns: the paper's own numbers, of another data set.\n\n"
     text += "\n".join(_markdown(section, table) for section, table in tables)
-    charts = chart_files("speed_accuracy", _rows(seeds, scene))
-    picture = charts.get("speed_accuracy.svg", b"").decode()
+    rows = rows_of_methods({scene: seeds.means}, {scene: seeds.spreads})
+    charts = chart_files("speed_accuracy", rows)
+    charts |= chart_files("quality_over_time", rows_over_time({scene: seeds.timelines}))
+    pictures = {Path(f).stem: charts[f].decode() for f in charts if f.endswith(".svg")}
     return AblationReport(
-        _page(about, tables, picture), text, _summary(seeds, scene, schedule), charts
+        _page(about, tables, pictures), text, _summary(seeds, scene, schedule), charts
     )
 
 
-def _rows(seeds: Sequence[Mapping[str, Result]], scene: str) -> list[Row]:
-    """Means over seeds, with their spreads and the Pareto front of the means."""
-    methods = dict.fromkeys(method for results in seeds for method in results)
-    every = {m: [results[m] for results in seeds if m in results] for m in methods}
-    means = with_speed({m: averaged(results) for m, results in every.items()}, {})
-    return rows_of_methods({scene: means}, {m: spread(results) for m, results in every.items()})
+def _gathered(folder: Path, scene: str) -> _Seeds:
+    every: dict[str, list[Result]] = {}
+    kept: dict[str, list[Result]] = {}
+    count = 0
+    for path in sorted(folder.glob("seed_*/metrics")):
+        results = read_results(path).get(scene)
+        if results is not None:
+            count += 1
+            for method, result in compared(results).items():
+                every.setdefault(method, []).append(result)
+            for method, timeline in read_timelines(path).get(scene, {}).items():
+                kept.setdefault(method, []).append(timeline)
+    if not count:
+        raise ArtifactError(f"no results of {scene} below {folder}; run `dvc repro` there")
+    timelines = {method: _mean_timeline(method, found) for method, found in kept.items()}
+    means = {method: averaged(results) for method, results in every.items()}
+    spreads = {method: spread(results) for method, results in every.items()}
+    return _Seeds(count, every, with_speed(means, timelines), spreads, timelines)
 
 
-def _table(
-    section: Section, seeds: Sequence[Mapping[str, Result]]
-) -> tuple[Section, list[list[str]]]:
+def _mean_timeline(method: str, timelines: Sequence[Result]) -> Result:
+    """Means of what was measured at the same moments of several seeds."""
+    moments = [[(p["stage"], p["iteration"]) for p in t["points"]] for t in timelines]
+    if any(other != moments[0] for other in moments):
+        raise ArtifactError(
+            f"{method} was looked at after other iterations from seed to seed; run `dvc repro`"
+        )
+    points = zip(*(timeline["points"] for timeline in timelines), strict=True)
+    means = [{**averaged(same), "iteration": same[0]["iteration"]} for same in points]
+    return {**averaged(timelines), "points": means}
+
+
+def _table(section: Section, seeds: _Seeds) -> tuple[Section, list[list[str]]]:
     """Heads and rows of text; methods that nobody has run are left out."""
     heads = ["", *(f"{c.label} {c.unit}".strip() for c in COLUMNS)]
     if section.paper:
         heads += ["paper*: PSNR", "paper*: SSIM", "paper*: LPIPS"]
     rows = [heads]
     for method, label in section.rows.items():
-        results = [results[method] for results in seeds if method in results]
-        if results:
-            cells = [shown_with_spread(*both, column) for column, both in _measured(results)]
+        if method in seeds.results:
+            cells = [
+                shown_with_spread(mean, scatter, column, _missing(seeds, method, column))
+                for column, mean, scatter in _measured(seeds, method)
+            ]
             rows.append([label, *cells, *(section.paper.get(method, ()))])
     return section, rows
 
 
-def _measured(results: Sequence[Result]) -> list[tuple[Column, tuple[float | None, float | None]]]:
+def _measured(seeds: _Seeds, method: str) -> list[tuple[Column, float | None, float | None]]:
     """Each column's mean and spread over results of one method."""
-    mean, scatter = averaged(results), spread(results)
-    return [(c, (look_up(mean, c.path), look_up(scatter, c.path))) for c in COLUMNS]
+    mean, scatter = seeds.means[method], seeds.spreads[method]
+    return [(c, look_up(mean, c.path), look_up(scatter, c.path)) for c in COLUMNS]
+
+
+def _missing(seeds: _Seeds, method: str, column: Column) -> str:
+    watched = column == TO_PAPER and {method, MEASURE} <= seeds.timelines.keys()
+    return NEVER if watched else NOT_MEASURED
 
 
 def _markdown(section: Section, rows: list[list[str]]) -> str:
@@ -188,20 +234,20 @@ def _markdown(section: Section, rows: list[list[str]]) -> str:
     return f"### {section.title}\n\n{section.note}\n\n{table}"
 
 
-def _summary(seeds: Sequence[Mapping[str, Result]], scene: str, schedule: str) -> dict[str, Any]:
-    methods = dict.fromkeys(method for results in seeds for method in results)
+def _summary(seeds: _Seeds, scene: str, schedule: str) -> dict[str, Any]:
     content: dict[str, Any] = {}
-    for method in methods:
-        results = [results[method] for results in seeds if method in results]
+    for method, results in seeds.results.items():
         content[method] = {"seeds": len(results)}
-        for column, (mean, scatter) in _measured(results):
+        for column, mean, scatter in _measured(seeds, method):
             content[method]["_".join(column.path)] = {"mean": mean, "spread": scatter}
     return {"scene": scene, "schedule": schedule, "methods": content}
 
 
-def _page(about: str, tables: list[tuple[Section, list[list[str]]]], chart: str) -> str:
+def _page(
+    about: str, tables: list[tuple[Section, list[list[str]]]], charts: Mapping[str, str]
+) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text())
-    return template.render(about=about, tables=tables, columns=len(COLUMNS), chart=chart) + "\n"
+    return template.render(about=about, tables=tables, columns=len(COLUMNS), charts=charts) + "\n"

@@ -15,6 +15,7 @@ import jinja2
 import numpy as np
 
 from deblur_avatar import run
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.pipeline.comparison import compared, pooled, spread
 from deblur_avatar.pipeline.picture_strips import (
@@ -63,6 +64,7 @@ DECLARED = {
     "reblur_psnr": ("reblur", "psnr"),
     "train_s": ("cost", "train_s"),
 }
+MOMENT = {"stage", "iteration", "seconds"}  # what each point of a timeline has at least
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
 Results = dict[str, dict[str, Any]]  # by method
@@ -109,7 +111,7 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
     Raises:
         ArtifactError: if a file is damaged; names it.
     """
-    timelines = _timelines(metrics)
+    timelines = read_timelines(metrics)
     scenes = {
         scene: with_speed(compared(results), timelines.get(scene, {}))
         for scene, results in read_results(metrics).items()
@@ -174,15 +176,6 @@ def chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
     return content
 
 
-def _timelines(metrics: Path) -> dict[str, Results]:
-    """What `timeline` measured, by scene and method."""
-    found: dict[str, Results] = {}
-    for path in sorted(metrics.glob("timeline/*.json")):
-        content = _read(path)
-        found.setdefault(str(content.get("scene")), {})[str(content.get("method"))] = content
-    return found
-
-
 def _repeated(scenes: Mapping[str, Results]) -> Titled | None:
     """Means and deviations over scenes, where at least `REPEATS` saw the same methods."""
     if len(scenes) < REPEATS or len({frozenset(results) for results in scenes.values()}) > 1:
@@ -209,6 +202,29 @@ def read_results(metrics: Path) -> dict[str, Results]:
             scenes.setdefault(path.parent.name, {})[path.stem] = content
     # The scene with a known truth comes first: it says most.
     return dict(sorted(scenes.items(), key=lambda item: ("ceiling" not in item[1], item[0])))
+
+
+def read_timelines(metrics: Path) -> dict[str, Results]:
+    """What the stage `timeline` measured, by scene and method.
+
+    Raises:
+        ArtifactError: if a file is damaged.
+    """
+    found: dict[str, Results] = {}
+    for path in sorted(metrics.glob("timeline/*.json")):
+        content = _read(path)
+        points = content.get("points")
+        if not isinstance(points, list) or not all(map(_is_moment, points)):
+            raise ArtifactError(
+                f"{path} is damaged: its points must each have {', '.join(sorted(MOMENT))}; "
+                "run `dvc repro`"
+            )
+        found.setdefault(str(content.get("scene")), {})[str(content.get("method"))] = content
+    return found
+
+
+def _is_moment(point: Any) -> bool:
+    return isinstance(point, dict) and point.keys() >= MOMENT
 
 
 def _read(path: Path) -> dict[str, Any]:

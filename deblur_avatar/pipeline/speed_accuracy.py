@@ -94,15 +94,18 @@ def seconds_to(curve: Sequence[tuple[float, float]], goal: float) -> float | Non
     return None
 
 
-def rows_of_methods(scenes: Mapping[str, Results], spreads: Results | None = None) -> list[Row]:
+def rows_of_methods(
+    scenes: Mapping[str, Results], spreads: Mapping[str, Results] | None = None
+) -> list[Row]:
     """One row for each scene and method of which time and quality are known.
 
     Args:
         scenes: results by scene and method.
-        spreads: standard deviations of one scene's results, by method, where they are means.
+        spreads: standard deviations of the results that are means, by scene and method.
     """
     rows = []
     for scene, results in scenes.items():
+        scatter = (spreads or {}).get(scene, {})
         of_scene: list[Row] = []
         for method in method_order(results):
             result = results[method]
@@ -110,7 +113,7 @@ def rows_of_methods(scenes: Mapping[str, Results], spreads: Results | None = Non
             psnr = look_up(result, ("image", "psnr"))
             if seconds is not None and psnr is not None:
                 speed = result.get("speed") or {}
-                spread = look_up((spreads or {}).get(method, {}), ("image", "psnr"))
+                spread = look_up(scatter.get(method, {}), ("image", "psnr"))
                 of_scene.append(
                     {
                         "scene": scene,

@@ -13,6 +13,28 @@ def write(folder, seed, method, psnr):
     path.write_text(json.dumps(content | {"cost": {"train_s": 100.0 + seed}}))
 
 
+def watch(folder, seed, method, curve):
+    """Write a timeline: seconds and PSNR after 10, 20, ... iterations."""
+    path = folder / f"seed_{seed}" / "metrics" / "timeline" / f"studio-{method}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    points = [
+        {"stage": "fusion", "iteration": 10 * place, "seconds": seconds,
+         "image": {"psnr": psnr}, "validation_psnr": psnr + 5}
+        for place, (seconds, psnr) in enumerate(curve, 1)
+    ]  # fmt: skip
+    content = {"scene": "studio", "method": method, "disk_mb": 1.0 + seed, "points": points}
+    path.write_text(json.dumps(content))
+
+
+@pytest.fixture
+def watched(results):
+    for seed in (0, 1):
+        watch(results, seed, "paper", [(2.0, 20.0 + seed), (8.0, 26.0 + seed)])
+        watch(results, seed, "blind", [(1.0, 25.0 + seed), (4.0 + seed, 28.0 + seed)])
+        watch(results, seed, "oracle", [(1.0, 20.0), (2.0, 22.0)])
+    return results
+
+
 @pytest.fixture
 def results(tmp_path):
     for seed, gain in ((0, 1.0), (1, 2.0)):
@@ -67,7 +89,7 @@ def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
     report_ablations(results, "studio", "quick").save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "index.html", "tables.md", "summary.json", "speed_accuracy.json", "speed_accuracy.png",
-        "speed_accuracy.svg", "speed_accuracy.vl.json",
+        "speed_accuracy.svg", "speed_accuracy.vl.json", "quality_over_time.json",
     }  # fmt: skip
     assert "<svg" in (tmp_path / "out/index.html").read_text()
 
@@ -98,3 +120,44 @@ def test_a_disk_that_refuses_leaves_every_file_whole(results, tmp_path, monkeypa
     with pytest.raises(ArtifactError, match=r"cannot write .*out/.*: disk full"):
         report.save(folder)
     assert before == {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_curves_are_means_over_seeds_at_the_same_iteration(watched):
+    charts = report_ablations(watched, "studio", "quick").charts
+    rows = [row for row in json.loads(charts["quality_over_time.json"])
+            if (row["method"], row["measure"]) == ("blind", "novel views")]  # fmt: skip
+    assert [(row["iteration"], row["training_s"], row["psnr_db"]) for row in rows] == [
+        (10, 1.0, 25.5), (20, 4.5, 28.5),
+    ]  # fmt: skip
+    assert {"quality_over_time.svg", "quality_over_time.png"} <= charts.keys()
+
+
+def test_when_a_method_is_as_good_as_paper_is_read_off_the_mean_curves(watched):
+    report = report_ablations(watched, "studio", "quick")
+    (line,) = (text for text in report.tables.splitlines() if "without motion" in text)
+    reached = report.summary["methods"]["blind"]["speed_time_to_paper_s"]["mean"]
+    assert reached == pytest.approx(4.5 ** (1 / 3))  # a third of the way from 25.5 to 28.5
+    assert "| 2 |" in line
+    assert report.summary["methods"]["blind"]["speed_disk_mb"]["mean"] == 1.5
+
+
+def test_a_method_that_never_is_as_good_as_paper_says_so(watched):
+    (line,) = (
+        text
+        for text in report_ablations(watched, "studio", "quick").tables.splitlines()
+        if text.startswith("| oracle")
+    )
+    assert "| never |" in line
+
+
+def test_without_avatars_kept_on_the_way_nothing_is_said_to_be_never(results):
+    report = report_ablations(results, "studio", "quick")
+    assert "never" not in report.tables
+    assert "quality_over_time.svg" not in report.charts
+    assert "Quality over training time" not in report.page
+
+
+def test_seeds_that_were_looked_at_at_other_iterations_are_refused(watched):
+    watch(watched, 1, "blind", [(1.0, 25.0)])
+    with pytest.raises(ArtifactError, match="blind was looked at after other iterations"):
+        report_ablations(watched, "studio", "quick")
