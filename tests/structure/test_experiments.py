@@ -132,6 +132,12 @@ def test_pipelines_that_gather_experiments_depend_on_the_code_they_run():
             assert [d for d in stage["deps"] if is_code(d)] == code_dependencies(script_of(stage))
 
 
+def test_the_papers_names_of_two_methods_are_known_too():
+    methods = read_params(ROOT / PARAMS)["methods"]
+    assert methods["no_motion"] == methods["blind"]
+    assert methods["n5"] == methods["paper"]
+
+
 def test_the_ablations_are_the_papers_once_a_seed():
     folders = [folder for folder in experiments() if folder.parent == ABLATIONS]
     assert [read_params(folder / PARAMS)["seed"] for folder in folders] == [0, 1, 2]
