@@ -1,6 +1,7 @@
 """How pictures become a video that plays everywhere: H.264 in an mp4 file.
 
-One encoder thread and no clock, so equal pictures give equal bytes with one version of the encoder.
+One encoder thread, no clock and no B pictures (with some of them as references x264 writes other
+bytes now and then), so equal pictures give equal bytes with one version of the encoder.
 """
 
 import logging
@@ -88,7 +89,7 @@ def _open_stream(
     stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
     stream.height, stream.width = picture.shape[:2]
     stream.pix_fmt = "yuv420p"
-    stream.options = {"crf": QUALITY, "threads": "1", "flags": "+bitexact"}
+    stream.options = {"crf": QUALITY, "threads": "1", "bf": "0", "flags": "+bitexact"}
     context = stream.codec_context
     context.color_primaries = context.colorspace = BT709
     context.color_trc = SRGB_CURVE
