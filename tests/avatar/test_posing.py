@@ -5,7 +5,7 @@ from deblur_avatar.avatar import posing
 from deblur_avatar.avatar.posing import pose_gaussians, pose_gaussians_reference
 from deblur_avatar.avatar.spreads import covariances
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
 JOINTS = 24
@@ -120,13 +120,7 @@ def test_the_slow_twin_has_the_gradient_of_differences():
 
 
 def test_without_a_compiler_gaussians_are_posed_in_plain_torch_and_a_warning_says_why(monkeypatch):
-    def fail(source):
-        raise BuildError("no C++ compiler")
-
-    monkeypatch.setattr(posing, "load_library", fail)
-    with pytest.warns(UserWarning, match="plain torch, slowly: no C"):
-        library = posing._library.__wrapped__()
-    assert library is None
+    check_a_warning_without_a_compiler(posing, monkeypatch)
     native = pose_gaussians(*scene(50, 3))
     monkeypatch.setattr(posing, "_library", lambda: None)
     plain = pose_gaussians(*scene(50, 3))

@@ -11,7 +11,7 @@ from deblur_avatar.avatar.spreads import (
     spreads_reference,
 )
 from deblur_avatar.geometry.rotations import quat_to_matrix
-from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
 COUNT = 500
@@ -135,13 +135,7 @@ def test_it_is_the_kernel_that_float32_tensors_go_through(monkeypatch):
 
 
 def test_without_a_compiler_there_is_the_twin_and_a_warning_says_why(monkeypatch):
-    def fail(source):
-        raise BuildError("no C++ compiler")
-
-    monkeypatch.setattr(module, "load_library", fail)
-    with pytest.warns(UserWarning, match="plain torch, slowly: no C"):
-        library = module._library.__wrapped__()
-    assert library is None
+    check_a_warning_without_a_compiler(module, monkeypatch)
     monkeypatch.setattr(module, "_library", lambda: None)
     inputs = scene()
     assert torch.equal(spreads(*inputs), spreads_reference(*inputs))

@@ -7,7 +7,7 @@ import torch
 from deblur_avatar.fitting import isotropy as module
 from deblur_avatar.fitting.isotropy import isotropy, isotropy_reference
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
 BOTH = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # kernel, twin
@@ -266,13 +266,7 @@ def test_a_neighbour_that_there_is_not_is_refused(wrong, dtype):
 
 
 def test_without_a_compiler_it_is_found_in_plain_torch_and_a_warning_says_why(monkeypatch):
-    def fail(source):
-        raise BuildError("no C++ compiler")
-
-    monkeypatch.setattr(module, "load_library", fail)
-    with pytest.warns(UserWarning, match="plain torch, slowly: no C"):
-        library = module._library.__wrapped__()
-    assert library is None
+    check_a_warning_without_a_compiler(module, monkeypatch)
     near = others(50, 4)
     native = with_gradients(isotropy, *pair(50, 3), near)
     monkeypatch.setattr(module, "_library", lambda: None)

@@ -1,0 +1,19 @@
+"""What a module with a native kernel does on a machine without a compiler."""
+
+from types import ModuleType
+
+import pytest
+
+from deblur_avatar.imaging.rasterizers.native_build import BuildError
+
+
+def check_a_warning_without_a_compiler(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has no library, and warns with the reason; a library it has loaded before stays."""
+
+    def fail(source: object) -> None:
+        raise BuildError("no C++ compiler")
+
+    monkeypatch.setattr(module, "load_library", fail)
+    with pytest.warns(UserWarning, match="plain torch, slowly: no C"):
+        library = module._library.__wrapped__()
+    assert library is None
