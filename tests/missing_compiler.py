@@ -8,7 +8,7 @@ from deblur_avatar.imaging.rasterizers.native_build import BuildError
 
 
 def check_a_warning_without_a_compiler(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has no library, and warns with the reason; a library it has loaded before stays."""
+    """It has no library, and warns with the reason; one that it has loaded before stays."""
 
     def fail(source: object) -> None:
         raise BuildError("no C++ compiler")

@@ -120,8 +120,8 @@ def test_the_slow_twin_has_the_gradient_of_differences():
 
 
 def test_without_a_compiler_gaussians_are_posed_in_plain_torch_and_a_warning_says_why(monkeypatch):
-    check_a_warning_without_a_compiler(posing, monkeypatch)
     native = pose_gaussians(*scene(50, 3))
+    check_a_warning_without_a_compiler(posing, monkeypatch)
     monkeypatch.setattr(posing, "_library", lambda: None)
     plain = pose_gaussians(*scene(50, 3))
     for fast, slow in zip(native, plain, strict=True):

@@ -266,9 +266,9 @@ def test_a_neighbour_that_there_is_not_is_refused(wrong, dtype):
 
 
 def test_without_a_compiler_it_is_found_in_plain_torch_and_a_warning_says_why(monkeypatch):
-    check_a_warning_without_a_compiler(module, monkeypatch)
     near = others(50, 4)
     native = with_gradients(isotropy, *pair(50, 3), near)
+    check_a_warning_without_a_compiler(module, monkeypatch)
     monkeypatch.setattr(module, "_library", lambda: None)
     plain = with_gradients(isotropy, *pair(50, 3), near)
     for fast, slow in zip(native, plain, strict=True):
