@@ -22,14 +22,14 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $(STAMP)
 
 repro: $(STAMP)
-	$(BIN)/python -m deblur_avatar.pipeline.reproduce
+	$(BIN)/python -m deblur_avatar.cli.reproduce
 
 # From a video (or a folder of pictures) to an avatar: make avatar VIDEO=clip.mp4 [NAME=...] [METHOD=lean]
-# [SCHEDULE=quick]
+# [SCHEDULE=medium]
 avatar: $(STAMP)
 	$(if $(VIDEO),,$(error make avatar needs a video: make avatar VIDEO=clip.mp4))
-	$(BIN)/python -m deblur_avatar.pipeline.own_video --video "$(VIDEO)" --name "$(NAME)" \
-	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),quick)
+	$(BIN)/python -m deblur_avatar.cli.video --video "$(VIDEO)" --name "$(NAME)" \
+	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),medium)
 
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: $(STAMP)
@@ -41,7 +41,7 @@ stability: export PATH := $(CURDIR)/$(BIN):$(PATH)
 stability: export OMP_NUM_THREADS := 1
 stability: $(STAMP)
 	dvc repro stability/dvc.yaml:stability_scene
-	printf '%s\n' lean paper blind | xargs -P 2 -I{} dvc --wait-for-lock repro -s stability/{}/dvc.yaml
+	printf '%s\n' lean paper agnostic | xargs -P 2 -I{} dvc --wait-for-lock repro -s stability/{}/dvc.yaml
 	dvc repro -s stability/dvc.yaml:stability_report
 
 test: $(STAMP)

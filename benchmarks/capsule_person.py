@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from deblur_avatar.imaging.rasterizers.covariances import covariances, upper_triangles
+from deblur_avatar.rendering.covariances import covariances, upper_triangles
 
 # Ends and radius of each capsule, metres, y up.
 CAPSULES = (

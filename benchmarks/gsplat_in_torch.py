@@ -12,14 +12,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from deblur_avatar.imaging.rasterizers.conventions import (
+from deblur_avatar.rendering.conventions import (
     EPS2D,
     MAX_ALPHA,
     MIN_ALPHA,
     MIN_TRANSMITTANCE,
     NEAR_PLANE,
 )
-from deblur_avatar.imaging.rasterizers.covariances import whole_matrices
+from deblur_avatar.rendering.covariances import whole_matrices
 
 
 def rasterize_by_gsplat(

@@ -8,12 +8,14 @@ instants one by one, networks evaluated for each, coverage rendered apart. Both 
 turns of a few steps, so that a busy machine slows them alike. The scene is a person of capsules.
 `--methods` names some of the methods; all of them take minutes.
 
-Kinds of work: `rasterizer`, `posing kernel`, `spreads kernel` and `isotropy kernel` are native;
+Kinds of work: `rasterizer`, `posing kernel`, `covariance factors kernel` and `isometry kernel` are
+native;
 `layers` is all inside a stack of network layers, where products, ReLUs and rounding alternate;
 `matrix products` is what of that, and of everything else but the kernels, are products in the
-narrow sense. `rasterizer_and_products` is the share of the rasterizer, of posing, of spreads and of
-products in the narrow sense: posing and spreads are products of matrices, written as kernels;
-isotropy is none.
+narrow sense. `rasterizer_and_products` is the share of the rasterizer, of posing, of
+covariance_factors and of
+products in the narrow sense: posing and covariance factors are products of matrices, written as
+kernels; isometry is none.
 
 The profiler writes down thousands of calls a step, most of them short, and a step takes longer for
 it. Steps are therefore recorded and left alone in turns, and what the recorded ones take more is
@@ -35,21 +37,27 @@ from torch.autograd.profiler_util import FunctionEvent
 from torch.profiler import ProfilerActivity, profile, record_function
 
 from benchmarks.rasterizer import machine
-from deblur_avatar.artifacts import Cameras, Observations, Poses
-from deblur_avatar.avatar import half_precision
-from deblur_avatar.avatar.capsule_body import capsule_body
-from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.config import MethodParams, ModelParams, ScheduleParams, StartParams, load_params
-from deblur_avatar.fitting.avatar_fit import AvatarFit
-from deblur_avatar.fitting.fusion_network import FusionNetwork
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars import half_precision
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.bodies.capsule import capsule_body
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
-from deblur_avatar.imaging.rasterizers import rasterize
+from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import new_trajectory
+from deblur_avatar.rendering import rasterize
 from deblur_avatar.run import stage
+from deblur_avatar.training.fusion_network import FusionNetwork
+from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.trainer import AvatarFit
 
 PARAMETERS = Path("params.yaml")
 METHODS = {
-    "blind": "paper", "no_nonrigid": "no_nonrigid", "no_fusion": "paper", "n3": "paper",
+    "agnostic": "paper", "no_nonrigid": "no_nonrigid", "no_fusion": "paper", "n3": "paper",
     "paper": "paper", "n7": "paper", "n9": "paper", "n13": "paper", "cubic": "paper",
     "learned": "paper", "released": "released", "lean": "lean",
 }  # fmt: skip  # and the start each goes on from
@@ -64,7 +72,7 @@ TURNS = 10  # of a record
 # The profiler's names of products of matrices, besides oneDNN's.
 PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "mv", "addmv", "addmv_", "convolution_backward")
 PART = "part: "
-TERMS = ("pictures", "skinning", "isotropy", "evenness", "priors")
+TERMS = ("pictures", "skinning", "isometry", "evenness", "priors")
 
 Step = Callable[[int], Any]
 
@@ -112,7 +120,7 @@ def observations(size: int) -> Observations:
     with torch.no_grad():
         model.gaussians.features.copy_(4 * torch.sin(7 * model.gaussians.means))
         model.gaussians.opacity_logits.fill_(3.0)
-    images, alphas = draw(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+    images, alphas = render_avatar(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
     return Observations(
         frames=(images * 255).round().to(torch.uint8),
         mattes=(alphas * 255).round().to(torch.uint8),
@@ -170,15 +178,15 @@ def naive(fit: AvatarFit) -> Step:
     def render(index: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor, Any, Any]:
         target = fit._targets[index]
         height, width = target.matte.shape
-        dressed = model.dress(rotations, index)
+        frame_state = model.condition(rotations, index)
         transforms = model.transforms(rotations[None], transl[None])
-        colors = model.colors(dressed, transforms[0], fit._viewmat)
-        means, covars = dressed.posed(transforms)
+        colors = model.colors(frame_state, transforms[0], fit._viewmat)
+        means, covars = frame_state.posed(transforms)
         scene = (means, covars, model.gaussians.opacities)
         image = rasterize(*scene, colors, *camera, width, height).image[0]
         white = torch.ones_like(colors)
         alpha = rasterize(*scene, white, *camera, width, height).image[0, :, :, 0]
-        return image, alpha, dressed, (means[0], covars[0])
+        return image, alpha, frame_state, (means[0], covars[0])
 
     def step(iteration: int) -> None:
         index = fit._next_frame()
@@ -190,16 +198,16 @@ def naive(fit: AvatarFit) -> Step:
         mean = torch.stack([image for image, *_ in drawn]).mean(0)
         alpha = torch.stack([alpha for _, alpha, *_ in drawn]).mean(0)
         centre = instants.centre_rotations, instants.centre_transl
-        sharp, sharp_alpha, dressed, posed = render(index, *centre)
+        sharp, sharp_alpha, frame_state, posed = render(index, *centre)
         assert fit.fusion is not None
-        assert dressed.pose_code is not None
+        assert frame_state.pose_code is not None
         covered = (alpha > 0) | (sharp_alpha > 0)
-        blend = fit.fusion(sharp, covered, dressed.pose_code, index)
+        blend = fit.fusion(sharp, covered, frame_state.pose_code, index)
         last = fit._schedule.fusion - STEPS + iteration
         terms = fit.objective.pictures(
             [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target
         ) | fit.objective.skinning(last)
-        terms |= fit.objective.isotropy(*posed)
+        terms |= fit.objective.isometry(*posed)
         fit.descent.step(last, torch.stack(list(terms.values())).sum())
 
     return step
@@ -338,7 +346,9 @@ def _kinds(record: Record) -> tuple[dict[str, float], float]:
 
 
 def _rasterizer_and_products(spent: Mapping[str, float], products: float) -> float:
-    native = sum(spent[kind] for kind in ("rasterizer", "posing kernel", "spreads kernel"))
+    native = sum(
+        spent[kind] for kind in ("rasterizer", "posing kernel", "covariance factors kernel")
+    )
     return round((native + products) / sum(spent.values()), 4)
 
 
@@ -357,9 +367,13 @@ def _part(event: FunctionEvent | None) -> str | None:
 
 def _kind(event: FunctionEvent | None) -> str:
     kernels = {
-        "_Rasterize": "rasterizer", "_Posing": "posing kernel", "_Spreads": "spreads kernel",
-        "_Covariances": "spreads kernel", "_Isotropy": "isotropy kernel", "_Layers": "layers",
-    }  # fmt: skip
+        "_Rasterize": "rasterizer",
+        "_Posing": "posing kernel",
+        "_CovarianceFactors": "covariance factors kernel",
+        "_Covariances": "covariance factors kernel",
+        "_Isometry": "isometry kernel",
+        "_Layers": "layers",
+    }
     while event is not None:
         for name, kind in kernels.items():
             if event.name in (name, f"{name}Backward"):

@@ -10,5 +10,8 @@ if os.environ.get("DEBLUR_AVATAR_CHECK_SHAPES") == "1":
     from jaxtyping import install_import_hook
 
     # Artifacts check themselves and raise errors of their own, so they stay outside the hook.
-    _CHECKED = ("geometry", "imaging", "avatar", "sources", "fitting", "pipeline")
+    _CHECKED = (
+        "geometry", "imaging", "rendering", "bodies", "motion", "avatars", "training",
+        "body_estimation", "sources", "animation", "evaluation", "reporting", "pipeline",
+    )  # fmt: skip
     install_import_hook([f"{__name__}.{name}" for name in _CHECKED], "beartype.beartype")

@@ -23,13 +23,17 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
+from deblur_avatar.errors import (
+    ArtifactError,
+    ConfigError,
+    FittingError,
+)
 
 T = TypeVar("T")
 
 MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
 KEPT_BYTES = 1 << 30
-LARGEST = 2**63 - 1  # of whole numbers
+MAX_VALUE = 2**63 - 1  # of whole numbers
 
 logger = logging.getLogger(__name__)
 
@@ -200,7 +204,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 def _whole(digits: str) -> int:
     """A whole number; beyond 64 bits few things are that numbers are asked to be."""
     value = int(digits)
-    if not -LARGEST <= value <= LARGEST:
+    if not -MAX_VALUE <= value <= MAX_VALUE:
         raise ValueError(f"{digits:.20}... is no number that a stage writes")
     return value
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.config import load_params
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.pipeline.ablations import report_ablations
 
 

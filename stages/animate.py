@@ -3,11 +3,13 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Motion, Observations
-from deblur_avatar.config import AnimationParams, load_params
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.imaging.video_writing import write_video
-from deblur_avatar.pipeline.animate import animate, sheet_of
+from deblur_avatar.pipeline.animate import AnimationParams, animate, sheet_of
 
 
 def main(

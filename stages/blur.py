@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Clip
-from deblur_avatar.config import BlurParams, load_params
-from deblur_avatar.pipeline.blur import blur
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.pipeline.blur import BlurParams, blur
 
 
 def main(scene: str, clip: Path, out: Path, metrics: Path, params_file: Path) -> None:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.config import BodyParams, load_params
-from deblur_avatar.pipeline.body import build_body
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.pipeline.body import BodyParams, build_body
 
 
 def main(name: str, out: Path, params_file: Path) -> None:

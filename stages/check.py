@@ -3,11 +3,16 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Observations
-from deblur_avatar.config import CheckParams, load_params
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.imaging.picture_files import write_picture
-from deblur_avatar.pipeline.check import check_scene, refuse_failed, tell
-from deblur_avatar.pipeline.check_pictures import check_page, draw_check
+from deblur_avatar.pipeline.check import (
+    CheckParams,
+    check_scene,
+    refuse_failed,
+    tell,
+)
+from deblur_avatar.reporting.check_pictures import check_page, draw_check
 
 
 def main(

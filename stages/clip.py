@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Body
-from deblur_avatar.config import ClipParams, load_params
-from deblur_avatar.fitting.landmarks import detect_with_mediapipe
-from deblur_avatar.pipeline.clip import load_clip
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.pipeline.clip import ClipParams, load_clip
 
 
 def main(scene: str, body: Path, out: Path, params_file: Path) -> None:

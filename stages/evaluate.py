@@ -3,11 +3,15 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Motion, Observations, Reference
-from deblur_avatar.config import RunParams, load_params
-from deblur_avatar.pipeline.costs import read_costs
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.config.runs import RunParams
+from deblur_avatar.evaluation.costs import read_costs
 from deblur_avatar.pipeline.evaluate import evaluate
-from deblur_avatar.pipeline.evaluation_pictures import draw_pictures
+from deblur_avatar.reporting.evaluation_pictures import draw_pictures
 
 
 def main(

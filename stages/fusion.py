@@ -3,10 +3,14 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
-from deblur_avatar.config import FusionParams, StartParams, load_params
-from deblur_avatar.pipeline.fitting_stage import fitting_stage
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.checkpoint import Checkpoint
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.training.fitting_stage import fitting_stage
+from deblur_avatar.training.params import FusionParams, StartParams
 
 
 def main(

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Observations
-from deblur_avatar.config import PredeblurParams, load_params
-from deblur_avatar.pipeline.predeblur import measure_predeblur, predeblur
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.pipeline.predeblur import PredeblurParams, measure_predeblur, predeblur
 
 
 def main(

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import BlurryClip, Body
-from deblur_avatar.config import PreprocessParams, load_params
-from deblur_avatar.fitting.landmarks import detect_with_mediapipe
-from deblur_avatar.pipeline.preprocess import preprocess
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import BlurryClip
+from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.pipeline.preprocess import PreprocessParams, preprocess
 
 
 def main(scene: str, blur: Path, body: Path, out: Path, metrics: Path, params_file: Path) -> None:

@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.config import load_params
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.pipeline.report import make_report
 
 logger = logging.getLogger(__name__)

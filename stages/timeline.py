@@ -3,8 +3,10 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Observations, Reference
-from deblur_avatar.config import RunParams, load_params
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.config.runs import RunParams
 from deblur_avatar.pipeline.timeline import timeline
 
 

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Observations
-from deblur_avatar.config import StartParams, load_params
-from deblur_avatar.pipeline.fitting_stage import fitting_stage
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.training.fitting_stage import fitting_stage
+from deblur_avatar.training.params import StartParams
 
 
 def main(start: str, observations: Path, out: Path, metrics: Path, params_file: Path) -> None:

@@ -9,11 +9,18 @@ from typing import Any
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Body, Cameras, Observations, Poses
-from deblur_avatar.avatar.capsule_body import capsule_body
-from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.config import ModelParams, ScheduleParams, StartParams, parse, read_yaml
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.bodies.capsule import capsule_body
+from deblur_avatar.config.reading import parse, read_yaml
 from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.schedule import ScheduleParams
+from tests.filmed_scene import Scene, film
 
 SIZE = 24  # pixels
 
@@ -71,7 +78,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
     def make(frames: int = 5, degrees: float = 8.0, size: int = SIZE) -> Observations:
         poses, cameras = swinging_poses(body, frames, degrees), camera(size)
         model = colourful(body, frames)
-        images, alphas = draw(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+        images, alphas = render_avatar(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
         return Observations(
             frames=(images * 255).round().to(torch.uint8),
             mattes=(alphas * 255).round().to(torch.uint8),
@@ -165,3 +172,11 @@ def start(tiny_content: dict[str, Any]) -> StartParams:
 @pytest.fixture
 def schedule(tiny_content: dict[str, Any]) -> ScheduleParams:
     return parse(ScheduleParams, tiny_content["schedules"]["tiny"], "schedules.tiny")
+
+
+@pytest.fixture
+def scene(
+    painted: Callable[..., AvatarModel], make_observations: Callable[..., Observations]
+) -> Scene:
+    """What the stages after fitting read."""
+    return film(painted(frames=8), make_observations(frames=8))

@@ -5,10 +5,15 @@ from dataclasses import dataclass
 
 import torch
 
-from deblur_avatar.artifacts import Avatar, Cameras, Motion, Observations, Poses, Reference
-from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.avatar.motion import FrameMotion
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.motion.trajectory import FrameMotion
 
 EYES = ((0.0, 0.0, 4.0), (2.8, 0.0, 2.8), (-2.8, 0.5, 2.8))
 CLIP_SIZE = 48  # pixels; observations are half as large
@@ -70,7 +75,7 @@ def _reference(
     """Every frame from both test cameras; the motion is sampled four times a frame."""
     images, mattes = [], []
     for camera in (1, 2):
-        drawn = draw(
+        drawn = render_avatar(
             model, poses, cameras.Ks[camera], cameras.viewmats[camera], CLIP_SIZE, CLIP_SIZE
         )
         images.append(drawn[0])

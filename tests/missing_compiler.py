@@ -4,7 +4,7 @@ from types import ModuleType
 
 import pytest
 
-from deblur_avatar.imaging.rasterizers.native_build import BuildError
+from deblur_avatar.rendering.native_build import BuildError
 
 
 def check_a_warning_without_a_compiler(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:

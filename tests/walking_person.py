@@ -5,12 +5,18 @@ import math
 import numpy as np
 import torch
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body, Cameras, Poses
-from deblur_avatar.avatar.body import joint_transforms, posed_vertices, shaped_joints
-from deblur_avatar.fitting.body_landmarks import landmark_map
-from deblur_avatar.fitting.landmarks import COUNT, Landmarks
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import (
+    joint_transforms,
+    posed_vertices,
+    shaped_joints,
+)
+from deblur_avatar.body_estimation.body_landmarks import landmark_map
+from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
 from deblur_avatar.geometry.cameras import look_at, project
-from deblur_avatar.imaging.mesh_rendering import View, cast_rays
+from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
 FPS = 60.0
 SIZE = (96, 128)  # width and height of the pictures

@@ -13,11 +13,11 @@ import numpy as np
 import torch
 from PIL import Image
 
-from deblur_avatar.artifacts import SMPL_PARENTS, Body
-from deblur_avatar.avatar.body import posed_vertices
-from deblur_avatar.avatar.capsule_body import capsule_body
+from deblur_avatar.artifacts.body import SMPL_PARENTS, Body
+from deblur_avatar.bodies.capsule import capsule_body
+from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.geometry.cameras import look_at
-from deblur_avatar.imaging.mesh_rendering import cast_rays
+from deblur_avatar.rendering.mesh_rendering import cast_rays
 from tests.walking_person import walking_poses
 
 CAMERAS, SIZE = 9, 128

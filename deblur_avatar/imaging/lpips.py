@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.imaging.weights_files import load_pth
+from deblur_avatar.readers.weights_files import load_pth
 
 logger = logging.getLogger(__name__)
 

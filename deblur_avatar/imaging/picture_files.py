@@ -23,7 +23,7 @@ T = TypeVar("T")
 # Not PostScript, which Pillow would hand to Ghostscript to run.
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "GIF")
 JPEG_QUALITY = 90  # of 100: compression is not seen beside what is being shown
-MOST_PIXELS = 100_000_000  # a small file can unfold to any size; this is 300 MB
+MAX_PIXELS = 100_000_000  # a small file can unfold to any size; this is 300 MB
 SIXTEEN_BITS = ("I;16", "I;16B", "I;16L", "I")  # Pillow's modes of grey pictures
 
 
@@ -104,9 +104,9 @@ def _decoded(path: Path, convert: Callable[[Image.Image], T]) -> T:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below
             image = Image.open(io.BytesIO(content), formats=FORMATS)
         width, height = image.size
-        if width * height > MOST_PIXELS:
+        if width * height > MAX_PIXELS:
             raise ArtifactError(
-                f"{path} unfolds to {width} x {height} pixels, at most {MOST_PIXELS // 10**6} "
+                f"{path} unfolds to {width} x {height} pixels, at most {MAX_PIXELS // 10**6} "
                 "million are read; scale it down"
             )
         return convert(image)

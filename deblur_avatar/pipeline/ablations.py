@@ -1,7 +1,7 @@
 """The paper's ablations in the form of its tables: means and spreads over seeds.
 
 Conventions. A spread is the standard deviation over seeds (n - 1). Recovery is taken within each
-seed, against that seed's own `blind` and `oracle`. What the paper measured stands beside, from
+seed, against that seed's own `agnostic` and `oracle`. What the paper measured stands beside, from
 another data set (ZJU-MoCap with synthetic blur): only which row is better can be compared.
 """
 
@@ -14,9 +14,18 @@ import jinja2
 
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pipeline.comparison import Result, averaged, compared, spread
-from deblur_avatar.pipeline.report import chart_files, read_results, read_timelines
-from deblur_avatar.pipeline.results_table import (
+from deblur_avatar.evaluation.recovery import (
+    Result,
+    averaged,
+    compared,
+    spread,
+)
+from deblur_avatar.pipeline.report import (
+    chart_files,
+    read_results,
+    read_timelines,
+)
+from deblur_avatar.reporting.results_table import (
     DRAWING,
     FLIP,
     GAUSSIANS,
@@ -33,7 +42,7 @@ from deblur_avatar.pipeline.results_table import (
     look_up,
     shown_with_spread,
 )
-from deblur_avatar.pipeline.speed_accuracy import (
+from deblur_avatar.reporting.speed_accuracy import (
     MEASURE,
     rows_of_methods,
     rows_over_time,
@@ -52,7 +61,7 @@ COLUMNS = (PSNR, SSIM_RANGE_2, SSIM, LPIPS, FLIP, SEEN, RECOVERY, TRAINING, TO_P
 # SSIM, LPIPS x 1000.
 ABLATIONS = {
     "no_nonrigid": ("29.43", "0.9659", "38.12"),
-    "blind": ("30.05", "0.9668", "37.95"),
+    "agnostic": ("30.05", "0.9668", "37.95"),
     "no_fusion": ("29.83", "0.9676", "36.42"),
     "paper": ("30.24", "0.9684", "35.82"),
 }
@@ -81,7 +90,7 @@ SECTIONS = (
         "Without motion modelling is the recipe for sharp frames on blurred ones.",
         {
             "no_nonrigid": "without non-rigid deformation",
-            "blind": "without motion modelling",
+            "agnostic": "without motion modelling",
             "no_fusion": "without fusion",
             "paper": "full",
         },
@@ -105,8 +114,8 @@ SECTIONS = (
         {
             "ceiling": "ceiling",
             "oracle": "oracle",
-            "blind": "blind",
-            "predeblur": "deblurred in the picture, then blind",
+            "agnostic": "agnostic",
+            "predeblur": "deblurred in the picture, then agnostic",
             "paper": "paper, text",
             "released": "paper, released code",
             "lean": "lean",

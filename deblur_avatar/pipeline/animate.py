@@ -3,23 +3,58 @@
 import dataclasses
 import logging
 from collections.abc import Callable, Iterable
+from typing import Annotated
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from pydantic import Field
 from torch import Tensor
 
-from deblur_avatar.artifacts import Avatar, Body, Motion, Observations, Poses
-from deblur_avatar.avatar.body import posed_vertices
-from deblur_avatar.avatar.driving_motion import BodyMotion
-from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.avatar.own_motion import own_motion
-from deblur_avatar.avatar.placement import framed_intrinsics, level_view, place
-from deblur_avatar.config import AnimationParams, expand_environment
+from deblur_avatar.animation.captured_motion import own_motion
+from deblur_avatar.animation.driving_motion import BodyMotion
+from deblur_avatar.animation.motion_files import read_motion
+from deblur_avatar.animation.placement import (
+    framed_intrinsics,
+    level_view,
+    place,
+)
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.config.reading import expand_environment
+from deblur_avatar.config.section import (
+    Fraction,
+    NonNegative,
+    Params,
+    Positive,
+)
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.contact_sheets import contact_sheet
-from deblur_avatar.sources.motion_files import read_motion
+
+
+class AnimationParams(Params):
+    """A motion that the avatar of the run of this name is shown in.
+
+    `motion` is `own` (the one that was filmed), `builtin:<name>` or a file, and may hold
+    `$(VARIABLE:-default)`.
+    """
+
+    scene: str
+    motion: str
+    start: NonNegative  # seconds into the motion
+    seconds: Positive
+    fps: Positive
+    image_size: Annotated[int, Field(ge=16, multiple_of=2)]  # square, pixels; videos want it even
+    turns: float  # of the stage from the first frame to the last, so that every side is seen
+    travel: Fraction  # of the motion's steps; 0 is on the spot
+    margin: NonNegative  # around the person, as a share of the picture she fills
+
 
 logger = logging.getLogger(__name__)
 
@@ -74,7 +109,7 @@ def animate(
     K, viewmat = K.to(device), viewmat.to(device)
     frames = []
     for index in progress(range(len(poses.transl)), "animate"):
-        image, _ = draw(model, poses.at([index]), K, viewmat, size, size)
+        image, _ = render_avatar(model, poses.at([index]), K, viewmat, size, size)
         frames.append((image[0].cpu() * 255).round().to(torch.uint8))
     return torch.stack(frames)
 

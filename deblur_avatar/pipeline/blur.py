@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -19,12 +19,30 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import BlurryClip, Clip
-from deblur_avatar.config import BlurParams
+from deblur_avatar.artifacts.clip import BlurryClip, Clip
+from deblur_avatar.config.section import Count, Params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging import metrics
-from deblur_avatar.imaging.exposure import blur_windows, exposure_seconds, frames_with_whole_window
-from deblur_avatar.imaging.interpolation import estimate_flow, interpolate, subframes
+from deblur_avatar.imaging.exposure import (
+    blur_windows,
+    exposure_seconds,
+    frames_with_whole_window,
+)
+from deblur_avatar.imaging.interpolation import (
+    estimate_flow,
+    interpolate,
+    subframes,
+)
+
+
+class BlurParams(Params):
+    """Windows of interpolated sub-frames, as in the paper."""
+
+    frames: Literal["interpolated", "true"]
+    factor: Count  # sub-frames a frame
+    window: Count  # sub-frames averaged, odd
+    light: Literal["srgb", "linear"]
+
 
 logger = logging.getLogger(__name__)
 

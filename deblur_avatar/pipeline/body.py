@@ -1,11 +1,16 @@
 """Which body a person has: the stage `body`."""
 
 from pathlib import Path
+from typing import Annotated
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.avatar.anny_body import bake_anny
-from deblur_avatar.avatar.smpl_files import DOWNLOAD_PAGE, read_smpl
-from deblur_avatar.config import AnnyBodyParams, SmplBodyParams, expand_environment
+from pydantic import Field
+
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.bodies.anny import AnnyBodyParams, bake_anny
+from deblur_avatar.bodies.smpl import DOWNLOAD_PAGE, SmplBodyParams, read_smpl
+from deblur_avatar.config.reading import expand_environment
+
+BodyParams = Annotated[AnnyBodyParams | SmplBodyParams, Field(discriminator="source")]
 
 
 def build_body(params: AnnyBodyParams | SmplBodyParams) -> Body:

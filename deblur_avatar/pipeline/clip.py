@@ -1,19 +1,25 @@
 """Every source in one form: the stage `clip`."""
 
-import torch
+from typing import Annotated
 
-from deblur_avatar.artifacts import Body, Clip, Reference
-from deblur_avatar.config import (
-    MonocularParams,
-    MultiviewParams,
-    StudioParams,
-    ZjuMocapParams,
-)
-from deblur_avatar.fitting.landmarks import PersonDetector
-from deblur_avatar.sources.monocular import load_monocular
-from deblur_avatar.sources.multiview import load_multiview
+import torch
+from pydantic import Field
+
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.body_estimation.landmarks import PersonDetector
+from deblur_avatar.sources.monocular import MonocularParams, load_monocular
+from deblur_avatar.sources.multiview import MultiviewParams, load_multiview
+from deblur_avatar.sources.studio.params import StudioParams
 from deblur_avatar.sources.studio.source import load_studio
+from deblur_avatar.sources.zju_mocap.params import ZjuMocapParams
 from deblur_avatar.sources.zju_mocap.source import load_zju_mocap
+
+ClipParams = Annotated[
+    StudioParams | MultiviewParams | MonocularParams | ZjuMocapParams,
+    Field(discriminator="source"),
+]
 
 
 def load_clip(

@@ -13,33 +13,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, UInt8
-from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Motion, Observations, Poses, Reference
-from deblur_avatar.avatar.model import AvatarModel, draw
-from deblur_avatar.avatar.motion_errors import pose_errors, travel_errors
-from deblur_avatar.imaging import metrics
-from deblur_avatar.imaging.color import srgb_to_linear
-from deblur_avatar.imaging.lpips import lpips_vgg
-from deblur_avatar.pipeline.comparison import RECOVERED
-from deblur_avatar.pipeline.reblur import reblur
-from deblur_avatar.pipeline.truth_views import TruthView, size_of, truth_views
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
+from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
+from deblur_avatar.evaluation.reblur import reblur
+from deblur_avatar.evaluation.recovery import RECOVERED
+from deblur_avatar.evaluation.truth_views import (
+    size_of,
+    truth_views,
+)
 
 logger = logging.getLogger(__name__)
 
 TIMED_FRAMES = 20
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """One test view and what the avatar made of it."""
-
-    view: TruthView
-    render: UInt8[Tensor, "H W 3"]
-    difference: Float[Tensor, "H W"]  # FLIP
-    scores: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -98,80 +91,12 @@ def evaluate(
     return Evaluation(content, comparisons, fps)
 
 
-def compare(
-    model: AvatarModel,
-    observations: Observations,
-    reference: Reference,
-    view: TruthView,
-    poses: Poses,
-) -> Comparison:
-    """Draw one test view in the pose that `poses` has for it, and score it.
-
-    Colours are drawn with the latent code of the frame if it was trained on, else of the last one
-    that was (as 3DGS-Avatar does).
-    """
-    trained = view.position in observations.train
-    width, height = size_of(observations, view.camera)
-    image, _ = draw(
-        model,
-        poses.at([view.position]),
-        observations.cameras.Ks[view.camera].to(model.betas.device),
-        observations.cameras.viewmats[view.camera].to(model.betas.device),
-        width,
-        height,
-        frame=view.position if trained else max(observations.train),
-        background=_background(reference, model),
-    )
-    render = image.cpu()
-    truth = view.image[None].float() / 255
-    foreground, seen = view.foreground[None], view.seen[None]
-    difference = metrics.flip_map(render, truth)
-    scores = {
-        "psnr": metrics.psnr(render, truth),
-        "ssim": metrics.ssim(render, truth),
-        "ssim_range2": metrics.ssim_range2(render, truth),
-        "ms_ssim": metrics.ms_ssim(render, truth),
-        "flip": difference.double().mean((1, 2)),
-        "lpips_vgg": lpips_vgg(render, truth),
-        "psnr_foreground": metrics.psnr(render, truth, foreground),
-        "psnr_seen": metrics.psnr(render, truth, seen),
-        "ssim_seen": metrics.ssim(render, truth, seen),
-        "flip_seen": metrics.masked_mean(difference.double(), seen),
-        "sharpness_ratio": metrics.sharpness_ratio(render, truth, foreground),
-        "sharpness_ratio_seen": metrics.sharpness_ratio(render, truth, seen),
-    }
-    return Comparison(
-        view=view,
-        render=(render[0].clamp(0, 1) * 255).round().to(torch.uint8),
-        difference=difference[0],
-        scores={name: float(value) for name, value in scores.items()},
-    )
-
-
 def _true_poses(observations: Observations, reference: Reference) -> Poses | None:
     """True poses at the middle of each exposure: the nearest samples."""
     if reference.motion is None or reference.motion_times is None:
         return None
     distance = reference.motion_times[None] - observations.timestamps[:, None]
     return reference.motion.at(distance.abs().argmin(1))
-
-
-def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:
-    color = torch.tensor(reference.background)
-    light = srgb_to_linear(color) if model.light == "linear" else color
-    return light.to(model.betas)
-
-
-def mean_scores(comparisons: Sequence[Comparison]) -> dict[str, float | None] | None:
-    """Mean of each score over pictures, where it was measured."""
-    if not comparisons:
-        return None
-    means: dict[str, float | None] = {}
-    for name in comparisons[0].scores:
-        values = torch.tensor([comparison.scores[name] for comparison in comparisons])
-        measured = values[~values.isnan()]
-        means[name] = float(measured.double().mean()) if len(measured) else None
-    return means
 
 
 def _by_camera(
@@ -237,7 +162,9 @@ def _render_fps(model: AvatarModel, observations: Observations, motion: Motion) 
     frames = [observations.train[i % len(observations.train)] for i in range(TIMED_FRAMES + 1)]
     begin = 0.0
     for count, frame in enumerate(frames):
-        image, _ = draw(model, motion.centre.at([frame]), K, viewmat, width, height, frame=frame)
+        image, _ = render_avatar(
+            model, motion.centre.at([frame]), K, viewmat, width, height, frame=frame
+        )
         image.cpu()  # waits for a device that runs ahead
         if count == 0:
             begin = time.perf_counter()

@@ -4,14 +4,18 @@ from typing import Any
 
 import torch
 
-from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
-from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.saved_motion import trajectory_from_artifact
-from deblur_avatar.config import FusionParams, ScheduleParams, StartParams
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.checkpoint import Checkpoint
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
-from deblur_avatar.fitting.fusion_network import FusionNetwork
-from deblur_avatar.fitting.run_folder import RunFolder
+from deblur_avatar.motion.saved_motion import trajectory_from_artifact
+from deblur_avatar.training.fusion_network import FusionNetwork
+from deblur_avatar.training.params import FusionParams, StartParams
+from deblur_avatar.training.resume import RunFolder
+from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.trainer import AvatarFit, Report
 
 
 def fuse(

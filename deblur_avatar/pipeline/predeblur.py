@@ -7,19 +7,42 @@ and the split are those of the blurred frames, and the exposure counts as nothin
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from jaxtyping import UInt8
+from pydantic import Field
 from torch import Tensor
 
-from deblur_avatar.artifacts import Observations
-from deblur_avatar.config import PredeblurParams, expand_environment
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import expand_environment
+from deblur_avatar.config.section import (
+    Count,
+    Fraction,
+    Params,
+    Positive,
+)
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging import metrics
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.deconvolution import deblur_by_matte
 from deblur_avatar.imaging.picture_files import read_picture
+
+
+class PredeblurParams(Params):
+    """Deblurring in the picture, for a baseline (imaging/deconvolution.py).
+
+    `given` is a folder of frames that another program has deblurred, and may hold
+    `$(VARIABLE:-default)`; empty for the classical method, which the rest is for.
+    """
+
+    given: str
+    lengths: Annotated[tuple[Positive, ...], Field(min_length=1)]  # of streaks tried, pixels
+    angles: Count  # directions tried
+    balance: Positive  # smoothness against closeness
+    surroundings: Positive  # pixels, of the window in which the matte is judged
+    gain: Fraction  # by which the matte must become clearer
+
 
 MARGIN = 16  # pixels around the person in which anything is changed
 

@@ -8,26 +8,38 @@ import logging
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal, cast
 
 import torch
 from jaxtyping import Bool, UInt8
+from pydantic import Field
 from torch import Tensor
 
-from deblur_avatar.artifacts import BlurryClip, Body, Cameras, Observations, Poses
-from deblur_avatar.avatar.body import posed_joints, posed_vertices
-from deblur_avatar.config import PreprocessParams
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import BlurryClip
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.body_estimation.body_fit import fit_body
+from deblur_avatar.body_estimation.fit_quality import measure_fit
+from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
+from deblur_avatar.body_estimation.occluded_surface import hidden_share
+from deblur_avatar.body_estimation.person_choice import detect_main_person
+from deblur_avatar.body_estimation.track_smoothness import measure_track
+from deblur_avatar.config.section import (
+    NonNegative,
+    Params,
+)
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.fitting.body_fit import fit_body
-from deblur_avatar.fitting.fit_quality import measure_fit
-from deblur_avatar.fitting.hidden_surface import hidden_share
-from deblur_avatar.fitting.landmarks import Landmarks, PersonDetector
-from deblur_avatar.fitting.person_choice import detect_main_person
-from deblur_avatar.fitting.track_smoothness import measure_track
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.imaging.exposure import Light, frames_before
-from deblur_avatar.imaging.matting import background_plate, lift_person, trim_mattes
+from deblur_avatar.imaging.matting import (
+    background_plate,
+    lift_person,
+    trim_mattes,
+)
 from deblur_avatar.imaging.resampling import (
     Crop,
     crop_and_scale,
@@ -35,6 +47,22 @@ from deblur_avatar.imaging.resampling import (
     crop_around,
     undistort,
 )
+
+
+class PreprocessParams(Params):
+    """Masks, crops and poses from blurred frames."""
+
+    poses: Literal["given", "estimated"]
+    masks: Literal["given", "estimated"]
+    background: Literal["none", "median", "auto"]  # taken away behind a soft matte; auto: median
+    # where the camera stands still
+    depth: Literal[
+        "known", "unknown"
+    ]  # known: the poses come from several views, say, and tell how
+    # far joints are from the camera better than the training camera can
+    margin: NonNegative  # of the crop, as a share of the person's box
+    validation_stride: Annotated[int, Field(ge=2)]  # every n-th frame is set aside
+
 
 logger = logging.getLogger(__name__)
 

@@ -16,9 +16,13 @@ import numpy as np
 
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.recovery import (
+    compared,
+    pooled,
+    spread,
+)
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
-from deblur_avatar.pipeline.comparison import compared, pooled, spread
-from deblur_avatar.pipeline.picture_strips import (
+from deblur_avatar.reporting.picture_strips import (
     Picture,
     Strip,
     data_uri,
@@ -26,8 +30,13 @@ from deblur_avatar.pipeline.picture_strips import (
     strip_sheet,
     strips_of_scene,
 )
-from deblur_avatar.pipeline.report_tables import NOT_KNOWN, Titled, facts_of, tables_of
-from deblur_avatar.pipeline.results_table import (
+from deblur_avatar.reporting.report_tables import (
+    NOT_KNOWN,
+    Titled,
+    facts_of,
+    tables_of,
+)
+from deblur_avatar.reporting.results_table import (
     BOUNDS,
     NOT_MEASURED,
     Table,
@@ -37,7 +46,7 @@ from deblur_avatar.pipeline.results_table import (
     results_table,
     short_columns,
 )
-from deblur_avatar.pipeline.speed_accuracy import (
+from deblur_avatar.reporting.speed_accuracy import (
     OVER_TIME,
     SPEED_ACCURACY,
     Row,
@@ -55,7 +64,7 @@ TEMPLATE = "report.html.jinja"
 STRIPS = 4  # of each scene on the page
 README_STRIPS = 2
 REPEATS = 3  # scenes that saw the same methods, before a mean over them is shown
-LARGEST_VIDEO = 1_500_000  # bytes; a longer one stays out of the page
+MAX_VIDEO = 1_500_000  # bytes; a longer one stays out of the page
 CHARTS = {"speed_accuracy": SPEED_ACCURACY, "quality_over_time": OVER_TIME}  # and their templates
 # What `dvc metrics diff` and `dvc exp show` compare, of each scene and method.
 DECLARED = {
@@ -260,7 +269,7 @@ def _headline(scenes: Mapping[str, Results]) -> list[dict[str, str]]:
         shares = {
             method: share
             for method, result in results.items()
-            if method not in (*BOUNDS, "blind")
+            if method not in (*BOUNDS, "agnostic")
             and (share := look_up(result, ("recovery", "psnr"))) is not None
         }
         if shares:
@@ -279,7 +288,7 @@ def _headline(scenes: Mapping[str, Results]) -> list[dict[str, str]]:
 
 def _cost_of_blur(results: Results) -> float | None:
     sharp, blurred = (
-        look_up(results.get(method, {}), ("image", "psnr")) for method in ("oracle", "blind")
+        look_up(results.get(method, {}), ("image", "psnr")) for method in ("oracle", "agnostic")
     )
     return None if sharp is None or blurred is None else sharp - blurred
 
@@ -300,7 +309,7 @@ def _animations(scene: str, results: Results, folder: Path) -> list[dict[str, st
         sheet = folder / f"{scene}-{method}" / "contact_sheet.png"
         video = folder / f"{scene}-{method}" / "video.mp4"
         if sheet.is_file():
-            playable = video.is_file() and video.stat().st_size <= LARGEST_VIDEO
+            playable = video.is_file() and video.stat().st_size <= MAX_VIDEO
             shown.append(
                 {
                     "sheet": picture_uri(_narrowed(read_picture(sheet))),

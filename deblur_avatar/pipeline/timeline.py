@@ -13,14 +13,17 @@ from typing import Any
 import torch
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Motion, Observations, Reference
-from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.config import RunParams
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pipeline.costs import cost_files
-from deblur_avatar.pipeline.evaluate import compare, mean_scores
-from deblur_avatar.pipeline.reblur import mean_reblur_psnr
-from deblur_avatar.pipeline.truth_views import TruthView, truth_views
+from deblur_avatar.evaluation.comparisons import compare, mean_scores
+from deblur_avatar.evaluation.costs import cost_files
+from deblur_avatar.evaluation.reblur import mean_reblur_psnr
+from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 VIEWS = 12  # test views that each snapshot is compared with, spread over cameras and instants
 SCORES = ("psnr", "ssim", "flip", "lpips_vgg", "psnr_seen")

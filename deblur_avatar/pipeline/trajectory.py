@@ -5,18 +5,27 @@ from typing import Any
 
 import torch
 
-from deblur_avatar.artifacts import Avatar, Checkpoint, Motion, Observations
-from deblur_avatar.avatar.clip_motion import ClipMotion
-from deblur_avatar.avatar.exposure_motions import EXPOSURE_MOTIONS
-from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.motion import FrameMotion, Trajectory, instants
-from deblur_avatar.config import ScheduleParams, StartParams, TrajectoryParams
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.checkpoint import Checkpoint
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
-from deblur_avatar.fitting.knot_spacing import choose_spacing
-from deblur_avatar.fitting.run_folder import RunFolder
-from deblur_avatar.fitting.shutter_certainty import settle_shutter
-from deblur_avatar.fitting.virtual_poses import choose_counts
+from deblur_avatar.motion.clip import ClipMotion
+from deblur_avatar.motion.exposure_motions import EXPOSURE_MOTIONS
+from deblur_avatar.motion.knot_spacing import choose_spacing
+from deblur_avatar.motion.params import TrajectoryParams
+from deblur_avatar.motion.trajectory import (
+    FrameMotion,
+    Trajectory,
+    instants,
+)
+from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.resume import RunFolder
+from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.shutter_certainty import settle_shutter
+from deblur_avatar.training.trainer import AvatarFit, Report
+from deblur_avatar.training.virtual_poses import choose_counts
 
 
 def fit_trajectory(

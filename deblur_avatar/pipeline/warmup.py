@@ -5,12 +5,15 @@ from typing import Any
 
 import torch
 
-from deblur_avatar.artifacts import Avatar, Checkpoint, Observations
-from deblur_avatar.avatar.model import AvatarModel
-from deblur_avatar.avatar.motion import FrameMotion
-from deblur_avatar.config import ScheduleParams, StartParams
-from deblur_avatar.fitting.avatar_fit import AvatarFit, Report
-from deblur_avatar.fitting.run_folder import RunFolder
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.checkpoint import Checkpoint
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.resume import RunFolder
+from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.trainer import AvatarFit, Report
 
 
 def warm_up(

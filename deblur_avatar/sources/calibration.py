@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import torch
 
-from deblur_avatar.artifacts import Cameras
+from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from deblur_avatar.config import expand_environment
+from deblur_avatar.config.reading import expand_environment
 from deblur_avatar.errors import ArtifactError, ConfigError
 
 

@@ -51,7 +51,7 @@ def read_footage(
     Args:
         path: which.
         frames: first, and one past the last or None for all.
-        stride: every so-manieth is read.
+        stride: every n-th is read.
         fps: frames a second of a folder; a video knows its times.
         height: rows that larger frames are scaled down to.
 

@@ -18,16 +18,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.artifacts import Body, Poses
-from deblur_avatar.avatar.body import shaped_joints
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from deblur_avatar.npz_files import load_npz
+from deblur_avatar.readers.npz_files import load_npz
 from deblur_avatar.sources.missing_poses import fill_missing, without_pose
 
 KEYS = ("poses", "global_orient", "body_pose", "transl", "betas", "viewmats")
-LARGEST = 1e6  # of an angle or a place
+MAX_VALUE = 1e6  # of an angle or a place
 
 
 def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Body) -> Poses:
@@ -139,8 +140,10 @@ def _checked(
 
 
 def _check_numbers(value: Tensor, name: str, path: Path) -> None:
-    if not bool((value.abs() <= LARGEST).all()):
-        raise ArtifactError(f"{path}: {name} holds values that are not finite or over {LARGEST:g}")
+    if not bool((value.abs() <= MAX_VALUE).all()):
+        raise ArtifactError(
+            f"{path}: {name} holds values that are not finite or over {MAX_VALUE:g}"
+        )
 
 
 def _shaped(arrays: dict[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> Tensor:

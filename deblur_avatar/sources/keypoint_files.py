@@ -39,8 +39,8 @@ _BODY_25 = {
     15: 5, 16: 2, 17: 8, 18: 7, 19: 31, 21: 29, 22: 32, 24: 30,
 }  # fmt: skip
 _FORMATS = {17: _COCO_17, 18: _COCO_18, 25: _BODY_25}
-MOST_FRAMES = 10_000_000  # 46 hours at 60 frames a second
-LARGEST = 1e6  # pixels
+MAX_FRAMES = 10_000_000  # 46 hours at 60 frames a second
+MAX_VALUE = 1e6  # pixels
 FEWEST = 5  # points that make a person
 FURTHEST = 0.5  # of a person's height, that she moves between two frames
 
@@ -125,7 +125,7 @@ def _coco(entries: list[Any], where: Path) -> list[list[Person]]:
         if frame is None:
             raise ArtifactError(
                 f"{where}: image_id {entry['image_id']!r:.60} holds no frame number up to "
-                f"{MOST_FRAMES}"
+                f"{MAX_FRAMES}"
             )
         frames.setdefault(frame, []).append(_person(points, where))
     return [frames.get(index, []) for index in range(max(frames) + 1)]
@@ -135,8 +135,8 @@ def _frame_number(image: object) -> int | None:
     if not isinstance(image, str | int):
         return None
     found = re.findall("[0-9]+", Path(str(image)[-200:]).stem)
-    number = int(found[-1]) if found else MOST_FRAMES + 1
-    return number if number <= MOST_FRAMES else None
+    number = int(found[-1]) if found else MAX_FRAMES + 1
+    return number if number <= MAX_FRAMES else None
 
 
 def _person(numbers: Any, where: Path) -> Person:
@@ -148,8 +148,10 @@ def _person(numbers: Any, where: Path) -> Person:
         raise ArtifactError(
             f"{where}: {len(points)} points a person, known are 17 (COCO), 18 and 25 (OpenPose)"
         )
-    if not (abs(points) <= LARGEST).all():
-        raise ArtifactError(f"{where}: keypoints must be pixels: finite numbers under {LARGEST:g}")
+    if not (abs(points) <= MAX_VALUE).all():
+        raise ArtifactError(
+            f"{where}: keypoints must be pixels: finite numbers under {MAX_VALUE:g}"
+        )
     person = np.zeros((COUNT, 3), np.float32)
     for source, landmark in _FORMATS[len(points)].items():
         person[landmark] = points[source]

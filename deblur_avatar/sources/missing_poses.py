@@ -11,12 +11,16 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.geometry.rotations import axis_angle_to_quat, quat_to_axis_angle, slerp
+from deblur_avatar.geometry.rotations import (
+    axis_angle_to_quat,
+    quat_to_axis_angle,
+    slerp,
+)
 
 logger = logging.getLogger(__name__)
 
 LONGEST = 15  # frames in a row without a pose: half a second at 30 a second
-MOST = 0.5  # of the frames
+MAX_COUNT = 0.5  # of the frames
 
 
 def without_pose(turns: Float[Tensor, "F J 3"], transl: Float[Tensor, "F 3"]) -> Bool[Tensor, " F"]:
@@ -35,8 +39,8 @@ def fill_missing(
         where: what poses they are, for messages.
 
     Raises:
-        ArtifactError: if the first or last frame has no pose, more than `MOST` of the frames, or
-            more than `LONGEST` in a row.
+        ArtifactError: if the first or last frame has no pose, more than `MAX_COUNT` of the frames,
+        or     more than `LONGEST` in a row.
     """
     missing = without_pose(turns, transl)
     if not bool(missing.any()):
@@ -48,7 +52,7 @@ def fill_missing(
     lost = f"{where}: {count} of {frames} frames have no pose"
     if bool(missing[0]) or bool(missing[-1]):
         raise ArtifactError(f"{lost}, the first or the last among them; {advice}")
-    if count > MOST * frames or longest > LONGEST:
+    if count > MAX_COUNT * frames or longest > LONGEST:
         raise ArtifactError(
             f"{lost}, up to {longest} in a row; at most half of them and {LONGEST} in a row are "
             f"filled from those around them; {advice}"

@@ -7,14 +7,25 @@ it did move, the person moves before it (`given_poses` says why that loses nothi
 import logging
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from pydantic import Field
 from torch import Tensor
 
-from deblur_avatar.artifacts import Body, Cameras, Clip, Poses, Reference
-from deblur_avatar.config import MonocularParams, expand_environment
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.reading import expand_environment
+from deblur_avatar.config.section import (
+    Count,
+    Params,
+    Positive,
+)
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.sources.focal_length import focal_of_files, focal_of_view
@@ -23,6 +34,31 @@ from deblur_avatar.sources.given_masks import read_masks
 from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
 from deblur_avatar.sources.self_calibration import calibrate_focal
+
+
+class MonocularParams(Params):
+    """One video of one person by one camera, blurred as it is; the camera may move.
+
+    `path` is a video or a folder of pictures. It, `keypoints`, `masks` and `poses` may hold
+    `$(VARIABLE:-default)`; null means that these are estimated from the frames.
+    """
+
+    source: Literal["monocular"]
+    path: str
+    frames: tuple[Annotated[int, Field(ge=0)], int | None]  # first, one past last; null: all
+    stride: Count  # every n-th of them is taken
+    fps: Positive  # of a folder of pictures; a video brings its own times
+    image_height: Count  # frames are scaled down to this height
+    focal: Literal["estimated", "field_of_view"] | Positive  # pixels of the footage as recorded
+    field_of_view: Annotated[float, Field(gt=5, lt=150)]  # degrees, longer side; the last resort
+    exposure_s: Positive | None  # seconds the shutter is open; null: `shutter` says
+    shutter: Annotated[float, Field(gt=0, le=1)]  # exposure as a share of the frame interval
+    light: Literal["srgb", "linear"]
+    held_out: Annotated[float, Field(ge=0, lt=1)]  # last part of the clip, kept from training
+    keypoints: str | None  # OpenPose's or COCO's JSON
+    masks: str | None  # folder of pictures; not black is person
+    poses: str | None  # .npz
+
 
 logger = logging.getLogger(__name__)
 

@@ -8,19 +8,52 @@ size, which leaves intrinsics right.
 import logging
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Literal
 
 import torch
 from jaxtyping import UInt8
+from pydantic import Field
 from torch import Tensor
 
-from deblur_avatar.artifacts import Cameras, Clip, Reference
-from deblur_avatar.config import MultiviewParams
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.section import (
+    Count,
+    Fraction,
+    Params,
+)
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.imaging.matting import background_plate, lift_person, trim_mattes
+from deblur_avatar.imaging.matting import (
+    background_plate,
+    lift_person,
+    trim_mattes,
+)
 from deblur_avatar.imaging.resampling import undistort
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.folders import footage_folder
 from deblur_avatar.sources.video_files import Video, read_video
+
+
+class MultiviewParams(Params):
+    """Video files of several calibrated cameras.
+
+    `root` may hold `$(VARIABLE:-default)`. `frame_offsets` are added to each camera's frame
+    numbers.
+    """
+
+    source: Literal["multiview"]
+    root: str
+    videos: tuple[str, ...]
+    calibration: str
+    frame_offsets: tuple[int, ...]
+    principal_point_shifts: tuple[tuple[float, float], ...]  # added, pixels of the video
+    frames: tuple[int, int]  # first, one past last
+    image_height: Count  # frames are scaled to this height
+    train_camera: Annotated[int, Field(ge=0)]
+    test_stride: Count
+    held_out: Fraction
+
 
 logger = logging.getLogger(__name__)
 

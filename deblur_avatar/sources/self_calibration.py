@@ -18,12 +18,12 @@ from torch import Tensor
 from deblur_avatar.imaging.camera_motion import background_mask
 
 INSTALL = ".venv/bin/pip install -c constraints.txt --editable '.[calibrate]'"
-MOST_FRAMES = 40  # matched with each other
+MAX_FRAMES = 40  # matched with each other
 SHARE_PLACED = 0.5  # of the frames that must be placed for the answer to be believed
 FIRST_GUESS = 1.0  # of the picture's longer side
 PLAUSIBLE = (0.4, 5.0)  # of the picture's longer side
 SEED = 1
-MOST_ERROR = 2.0  # pixels, mean reprojection error
+MAX_ERROR = 2.0  # pixels, mean reprojection error
 
 
 def calibrate_focal(
@@ -38,7 +38,7 @@ def calibrate_focal(
         import pycolmap
     except ImportError:
         return None, f"pycolmap is not installed ({INSTALL})"
-    chosen = np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).round().astype(int)
+    chosen = np.linspace(0, len(frames) - 1, min(MAX_FRAMES, len(frames))).round().astype(int)
     longer = max(frames.shape[1:3])
     with tempfile.TemporaryDirectory() as scratch, _quiet(pycolmap):
         folder = Path(scratch)
@@ -78,7 +78,7 @@ def _answer(models: Mapping[int, Any], count: int, longer: int) -> tuple[float |
     placed, error = model.num_reg_images(), model.compute_mean_reprojection_error()
     focal = float(next(iter(model.cameras.values())).mean_focal_length())
     found = f"{placed} of {count} frames placed, error {error:.2f} px, focal {focal:.0f} px"
-    if placed < SHARE_PLACED * count or error > MOST_ERROR:
+    if placed < SHARE_PLACED * count or error > MAX_ERROR:
         return None, f"structure from motion is not to be believed: {found}"
     if not PLAUSIBLE[0] * longer <= focal <= PLAUSIBLE[1] * longer:
         return None, f"structure from motion gave an implausible focal length: {found}"

@@ -18,7 +18,7 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import MOST_PIXELS
+from deblur_avatar.imaging.picture_files import MAX_PIXELS
 
 NO_OTHER_FILES = {"protocol_whitelist": "none"}
 
@@ -41,7 +41,7 @@ def read_video(path: Path, first: int, stop: int | None, height: int, stride: in
         first: number of the first frame wanted, from 0.
         stop: one past the last; None for all there are.
         height: rows wanted; frames that have no more are kept as they are.
-        stride: every so-manieth frame is kept.
+        stride: every n-th frame is kept.
 
     Raises:
         ArtifactError: if the file is missing, cannot be decoded, ends too early, or changes size.
@@ -93,7 +93,7 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
                     f"{path} is in a format that is not known; convert it to H.264 in an mp4 file"
                 )
             stream.thread_type = "AUTO"
-            stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
             for index, frame in enumerate(container.decode(stream)):
                 image = frame.to_ndarray(format="rgb24")
                 # PyAV: the angle by which the frame is to be turned anticlockwise.

@@ -18,7 +18,7 @@ from tests.fuzz.readers import Reader
 from tests.fuzz.recipes import recipes
 
 LONGEST_S = 300.0  # for one input
-MOST_DEATHS = 40  # of one reader's process; then its campaign is over
+MAX_DEATHS = 40  # of one reader's process; then its campaign is over
 
 
 def campaign(
@@ -36,7 +36,7 @@ def campaign(
         every: which of the recipes are tried: all, or every second, or ...
     """
     tally = Tally(reader.name)
-    while not tally.finished and tally.deaths < MOST_DEATHS:
+    while not tally.finished and tally.deaths < MAX_DEATHS:
         with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
             run = _Run(reader, Path(folder), tally, kept)
             tally = in_child(

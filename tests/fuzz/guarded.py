@@ -26,10 +26,10 @@ import torch
 
 from deblur_avatar.errors import ArtifactError, ConfigError
 
-MOST_MEMORY = 1 << 30  # bytes that reading one input may take; what the readers promise
-MOST_ADDRESSES = 3 << 30  # bytes of address space: libraries reserve more than they use
-MOST_SECONDS = 10.0  # of processor time for one input
-MOST_WAITING = 60.0  # seconds by the clock for one input: other programs run as well
+MAX_MEMORY = 1 << 30  # bytes that reading one input may take; what the readers promise
+MAX_ADDRESSES = 3 << 30  # bytes of address space: libraries reserve more than they use
+MAX_SECONDS = 10.0  # of processor time for one input
+MAX_WAITING = 60.0  # seconds by the clock for one input: other programs run as well
 FORBIDDEN = (
     "os.system", "os.exec", "os.posix_spawn", "os.fork", "os.forkpty", "os.spawn", "os.startfile",
     "subprocess.Popen", "socket.connect", "socket.bind", "socket.getaddrinfo", "urllib.Request",
@@ -95,7 +95,7 @@ def in_child(work: Callable[[Tell], Tally], tally: Tally, seconds: float) -> Tal
 
 
 def _child(work: Callable[[Tell], Tally], sender: Any) -> None:
-    limit = _status("VmSize") + MOST_ADDRESSES
+    limit = _status("VmSize") + MAX_ADDRESSES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGPROF, _too_slow)
@@ -119,7 +119,7 @@ def try_input(read: Callable[[], object], tally: Tally, acts: list[str]) -> None
     before, begin = _status("VmRSS"), time.process_time()
     tally.inputs += 1
     try:
-        signal.setitimer(signal.ITIMER_PROF, MOST_SECONDS)
+        signal.setitimer(signal.ITIMER_PROF, MAX_SECONDS)
         try:
             with _watched(acts):
                 result = read()
@@ -135,14 +135,14 @@ def try_input(read: Callable[[], object], tally: Tally, acts: list[str]) -> None
         if _memory_in(error):
             tally.failures.setdefault(_place(error), f"memory was asked for in vain: {error}"[:400])
     except TooSlow as error:
-        limits = f"over {MOST_SECONDS:.0f} s of processor time, or {MOST_WAITING:.0f} s of waiting"
+        limits = f"over {MAX_SECONDS:.0f} s of processor time, or {MAX_WAITING:.0f} s of waiting"
         tally.failures.setdefault(_place(error), limits)
     except Exception as error:
         tally.failures.setdefault(_place(error), f"{type(error).__name__}: {error}"[:400])
     took = (_status("VmHWM") - before) / 2**20
     tally.peak_mb = max(tally.peak_mb, took)
     tally.slowest_s = max(tally.slowest_s, time.process_time() - begin)
-    if took > MOST_MEMORY / 2**20:
+    if took > MAX_MEMORY / 2**20:
         tally.failures.setdefault("memory", f"{took:.0f} MB for one input")
     for act in acts:
         tally.failures.setdefault(act, "was done while a file was read")

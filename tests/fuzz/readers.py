@@ -17,28 +17,38 @@ from PIL import Image
 from scipy import sparse
 
 from deblur_avatar import artifacts, run
-from deblur_avatar.avatar.capsule_body import capsule_body
-from deblur_avatar.avatar.smpl_files import read_smpl
-from deblur_avatar.config import RunParams, check_parameters, read_yaml
-from deblur_avatar.fitting import run_folder
+from deblur_avatar.animation.motion_files import read_motion
+from deblur_avatar.artifacts.storage import Artifact
+from deblur_avatar.bodies.capsule import capsule_body
+from deblur_avatar.bodies.smpl import read_smpl
+from deblur_avatar.cli import video as own_video
+from deblur_avatar.config.reading import read_yaml
+from deblur_avatar.config.runs import RunParams
+from deblur_avatar.evaluation.costs import (
+    STAGES,
+    cost_files,
+    read_costs,
+)
 from deblur_avatar.imaging import lpips
 from deblur_avatar.imaging.picture_files import read_mask, read_picture
-from deblur_avatar.pipeline import own_video
-from deblur_avatar.pipeline.costs import STAGES, cost_files, read_costs
-from deblur_avatar.pipeline.picture_strips import strips_of_scene
+from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.pipeline.report import read_results
 from deblur_avatar.pipeline.timeline import moments_of
+from deblur_avatar.reporting.picture_strips import strips_of_scene
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.focal_length import focal_of_files
 from deblur_avatar.sources.footage import read_footage
 from deblur_avatar.sources.given_masks import read_masks
 from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
-from deblur_avatar.sources.motion_files import read_motion
 from deblur_avatar.sources.zju_mocap import poses as zju_poses
 from deblur_avatar.sources.zju_mocap.annotations import read_annotations
-from deblur_avatar.sources.zju_mocap.pictures import mask_folders_here, picture_size, read_person
-from deblur_avatar.storage import Artifact
+from deblur_avatar.sources.zju_mocap.pictures import (
+    mask_folders_here,
+    picture_size,
+    read_person,
+)
+from deblur_avatar.training import resume as run_folder
 from tests.sources.small_videos import picture, write_video
 
 ROOT = Path(__file__).parents[2]
@@ -77,7 +87,7 @@ def _write_parameters(folder: Path) -> None:
 def _write_avatar(folder: Path) -> None:
     """What `make avatar` wrote for one video."""
     methods = {"lean": {}}
-    shared = {"methods": methods, "starts": methods, "schedules": {"quick": {}}}
+    shared = {"methods": methods, "starts": methods, "schedules": {"medium": {}}}
     clip = {"path": str((folder / "film.mp4").resolve())}
     own = {"scenes": {"me": {"clip": clip}}, "warmups": {}, "runs": {}, "animations": {}}
     (folder / "params.yaml").write_text(json.dumps(shared))
@@ -94,7 +104,7 @@ def _avatar(folder: Path) -> None:
     nothing = mock.patch.object(Path, "mkdir")
     written = mock.patch.object(own_video, "_write", side_effect=_Read)
     with nothing, written, contextlib.suppress(_Read):
-        own_video.prepare(folder / "film.mp4", "me", "lean", "quick", folder)
+        own_video.prepare(folder / "film.mp4", "me", "lean", "medium", folder)
 
 
 def _write_numbers(folder: Path) -> None:

@@ -8,7 +8,12 @@ from deblur_avatar.geometry.rotations import (
     quat_multiply,
     quat_to_matrix,
 )
-from deblur_avatar.geometry.splines import basis, fit_knots, spline_points, spline_quats
+from deblur_avatar.geometry.splines import (
+    basis,
+    fit_knots,
+    spline_points,
+    spline_quats,
+)
 
 GENERATOR = torch.Generator().manual_seed(1)
 KNOTS = torch.randn(7, 3, generator=GENERATOR, dtype=torch.float64)

@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from deblur_avatar.imaging.contact_sheets import BACKGROUND, GAP, LABEL_HEIGHT, contact_sheet
+from deblur_avatar.imaging.contact_sheets import (
+    BACKGROUND,
+    GAP,
+    LABEL_HEIGHT,
+    contact_sheet,
+)
 
 
 def plain(code: int, height: int = 8, width: int = 12) -> np.ndarray:

@@ -4,7 +4,12 @@ import pytest
 import torch
 from skimage import restoration
 
-from deblur_avatar.imaging.deconvolution import deblur_by_matte, streak, unblurred, unclearness
+from deblur_avatar.imaging.deconvolution import (
+    deblur_by_matte,
+    streak,
+    unblurred,
+    unclearness,
+)
 
 SETTINGS = {"balance": 0.002, "surroundings": 4.0, "gain": 0.05}
 

@@ -8,7 +8,11 @@ from torch import nn
 
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging import lpips
-from deblur_avatar.imaging.lpips import Lpips, load_lpips, lpips_vgg
+from deblur_avatar.imaging.lpips import (
+    Lpips,
+    load_lpips,
+    lpips_vgg,
+)
 
 HEADS = os.environ.get(lpips.HEADS_VARIABLE)
 WEIGHTS = os.environ.get(lpips.WEIGHTS_VARIABLE)

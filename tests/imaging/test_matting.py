@@ -2,7 +2,12 @@ import pytest
 import torch
 
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
-from deblur_avatar.imaging.matting import Plate, background_plate, lift_person, trim_mattes
+from deblur_avatar.imaging.matting import (
+    Plate,
+    background_plate,
+    lift_person,
+    trim_mattes,
+)
 
 HEIGHT, WIDTH, FRAMES = 24, 40, 7
 PERSON = torch.tensor([0.9, 0.3, 0.2])

@@ -4,7 +4,12 @@ import pytest
 from PIL import Image
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import encoded, read_mask, read_picture, write_picture
+from deblur_avatar.imaging.picture_files import (
+    encoded,
+    read_mask,
+    read_picture,
+    write_picture,
+)
 
 
 @pytest.fixture

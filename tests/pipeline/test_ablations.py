@@ -30,7 +30,7 @@ def watch(folder, seed, method, curve):
 def watched(results):
     for seed in (0, 1):
         watch(results, seed, "paper", [(2.0, 20.0 + seed), (8.0, 26.0 + seed)])
-        watch(results, seed, "blind", [(1.0, 25.0 + seed), (4.0 + seed, 28.0 + seed)])
+        watch(results, seed, "agnostic", [(1.0, 25.0 + seed), (4.0 + seed, 28.0 + seed)])
         watch(results, seed, "oracle", [(1.0, 20.0), (2.0, 22.0)])
     return results
 
@@ -39,13 +39,13 @@ def watched(results):
 def results(tmp_path):
     for seed, gain in ((0, 1.0), (1, 2.0)):
         write(tmp_path, seed, "oracle", 30.0 + seed)
-        write(tmp_path, seed, "blind", 26.0 + seed)
+        write(tmp_path, seed, "agnostic", 26.0 + seed)
         write(tmp_path, seed, "paper", 26.0 + seed + gain)
     return tmp_path
 
 
 def test_numbers_are_means_and_spreads_over_seeds(results):
-    report = report_ablations(results, "studio", "quick")
+    report = report_ablations(results, "studio", "medium")
     paper = report.summary["methods"]["paper"]
     assert paper["image_psnr"] == {"mean": 28.0, "spread": pytest.approx(2**0.5)}
     assert paper["seeds"] == 2
@@ -53,13 +53,13 @@ def test_numbers_are_means_and_spreads_over_seeds(results):
 
 
 def test_recovery_is_taken_within_each_seed(results):
-    report = report_ablations(results, "studio", "quick")
+    report = report_ablations(results, "studio", "medium")
     share = report.summary["methods"]["paper"]["recovery_psnr"]
     assert share["mean"] == pytest.approx((0.25 + 0.5) / 2)
 
 
 def test_the_papers_numbers_stand_beside_marked_as_of_other_data(results):
-    report = report_ablations(results, "studio", "quick")
+    report = report_ablations(results, "studio", "medium")
     assert "30.24" in report.tables
     assert "another data set" in report.tables
     assert "another data set" in report.page
@@ -67,26 +67,26 @@ def test_the_papers_numbers_stand_beside_marked_as_of_other_data(results):
 
 
 def test_what_nobody_ran_has_no_row_and_what_nobody_measured_no_number(results):
-    report = report_ablations(results, "studio", "quick")
+    report = report_ablations(results, "studio", "medium")
     assert "cubic" not in report.tables
     assert "not measured" in report.tables
 
 
 def test_one_seed_has_no_spread(tmp_path):
-    write(tmp_path, 0, "blind", 26.0)
+    write(tmp_path, 0, "agnostic", 26.0)
     write(tmp_path, 0, "paper", 28.0)
-    report = report_ablations(tmp_path, "studio", "quick")
+    report = report_ablations(tmp_path, "studio", "medium")
     assert report.summary["methods"]["paper"]["image_psnr"] == {"mean": 28.0, "spread": None}
     assert "| full | 28.00 |" in report.tables
 
 
 def test_no_results_at_all_are_refused(tmp_path):
     with pytest.raises(ArtifactError, match="no results of studio"):
-        report_ablations(tmp_path, "studio", "quick")
+        report_ablations(tmp_path, "studio", "medium")
 
 
 def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
-    report_ablations(results, "studio", "quick").save(tmp_path / "out")
+    report_ablations(results, "studio", "medium").save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "index.html", "tables.md", "summary.json", "speed_accuracy.json", "speed_accuracy.png",
         "speed_accuracy.svg", "speed_accuracy.vl.json", "quality_over_time.json",
@@ -95,7 +95,7 @@ def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
 
 
 def test_the_chart_has_means_between_their_spreads_and_the_front_of_the_means(results):
-    charts = report_ablations(results, "studio", "quick").charts
+    charts = report_ablations(results, "studio", "medium").charts
     rows = {row["method"]: row for row in json.loads(charts["speed_accuracy.json"])}
     assert rows["paper"]["psnr_db"] == 28.0
     assert rows["paper"]["psnr_high_db"] == pytest.approx(28.0 + 2**0.5, abs=1e-3)
@@ -106,7 +106,7 @@ def test_the_chart_has_means_between_their_spreads_and_the_front_of_the_means(re
 
 def test_a_disk_that_refuses_leaves_every_file_whole(results, tmp_path, monkeypatch):
     folder = tmp_path / "out"
-    report = report_ablations(results, "studio", "quick")
+    report = report_ablations(results, "studio", "medium")
     report.save(folder)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert not any(name.endswith(".part") for name in before)
@@ -123,9 +123,9 @@ def test_a_disk_that_refuses_leaves_every_file_whole(results, tmp_path, monkeypa
 
 
 def test_curves_are_means_over_seeds_at_the_same_iteration(watched):
-    charts = report_ablations(watched, "studio", "quick").charts
+    charts = report_ablations(watched, "studio", "medium").charts
     rows = [row for row in json.loads(charts["quality_over_time.json"])
-            if (row["method"], row["measure"]) == ("blind", "novel views")]  # fmt: skip
+            if (row["method"], row["measure"]) == ("agnostic", "novel views")]  # fmt: skip
     assert [(row["iteration"], row["training_s"], row["psnr_db"]) for row in rows] == [
         (10, 1.0, 25.5), (20, 4.5, 28.5),
     ]  # fmt: skip
@@ -133,31 +133,31 @@ def test_curves_are_means_over_seeds_at_the_same_iteration(watched):
 
 
 def test_when_a_method_is_as_good_as_paper_is_read_off_the_mean_curves(watched):
-    report = report_ablations(watched, "studio", "quick")
+    report = report_ablations(watched, "studio", "medium")
     (line,) = (text for text in report.tables.splitlines() if "without motion" in text)
-    reached = report.summary["methods"]["blind"]["speed_time_to_paper_s"]["mean"]
+    reached = report.summary["methods"]["agnostic"]["speed_time_to_paper_s"]["mean"]
     assert reached == pytest.approx(4.5 ** (1 / 3))  # a third of the way from 25.5 to 28.5
     assert "| 2 |" in line
-    assert report.summary["methods"]["blind"]["speed_disk_mb"]["mean"] == 1.5
+    assert report.summary["methods"]["agnostic"]["speed_disk_mb"]["mean"] == 1.5
 
 
 def test_a_method_that_never_is_as_good_as_paper_says_so(watched):
     (line,) = (
         text
-        for text in report_ablations(watched, "studio", "quick").tables.splitlines()
+        for text in report_ablations(watched, "studio", "medium").tables.splitlines()
         if text.startswith("| oracle")
     )
     assert "| never |" in line
 
 
 def test_without_avatars_kept_on_the_way_nothing_is_said_to_be_never(results):
-    report = report_ablations(results, "studio", "quick")
+    report = report_ablations(results, "studio", "medium")
     assert "never" not in report.tables
     assert "quality_over_time.svg" not in report.charts
     assert "Quality over training time" not in report.page
 
 
 def test_seeds_that_were_looked_at_at_other_iterations_are_refused(watched):
-    watch(watched, 1, "blind", [(1.0, 25.0)])
-    with pytest.raises(ArtifactError, match="blind was looked at after other iterations"):
-        report_ablations(watched, "studio", "quick")
+    watch(watched, 1, "agnostic", [(1.0, 25.0)])
+    with pytest.raises(ArtifactError, match="agnostic was looked at after other iterations"):
+        report_ablations(watched, "studio", "medium")

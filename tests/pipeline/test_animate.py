@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.avatar.motion import FrameMotion
-from deblur_avatar.config import AnimationParams
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.pipeline.animate import animate, sheet_of
+from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.pipeline.animate import AnimationParams, animate, sheet_of
 from tests.conftest import colourful
 
 PARAMS = AnimationParams(

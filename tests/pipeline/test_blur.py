@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Cameras, Clip, Poses
-from deblur_avatar.config import BlurParams
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.exposure import frames_before
-from deblur_avatar.pipeline.blur import blur
+from deblur_avatar.pipeline.blur import BlurParams, blur
 
 FRAMES, HEIGHT, WIDTH, FPS = 12, 36, 48, 60.0
 PLAIN = BlurParams(frames="interpolated", factor=4, window=9, light="srgb")

@@ -2,8 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.config import AnnyBodyParams, SmplBodyParams
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.bodies.anny import AnnyBodyParams
+from deblur_avatar.bodies.smpl import SmplBodyParams
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline import body as stage
 from deblur_avatar.pipeline.body import build_body

@@ -5,20 +5,22 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.config import CheckParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.pipeline.check import (
+from deblur_avatar.evaluation.scene_measures import (
     blur_extent,
-    check_scene,
     coverage,
-    judged,
-    refuse_failed,
     seen_azimuths,
     silhouette,
+)
+from deblur_avatar.pipeline.check import (
+    CheckParams,
+    check_scene,
+    judged,
+    refuse_failed,
     tell,
     worst,
 )
-from deblur_avatar.pipeline.check_pictures import check_page, draw_check
+from deblur_avatar.reporting.check_pictures import check_page, draw_check
 
 SIZE = 96
 

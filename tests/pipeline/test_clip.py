@@ -3,13 +3,16 @@ from pathlib import Path
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Body, Clip, Reference
-from deblur_avatar.config import ClipParams, StudioParams, parse, read_yaml
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.body_estimation.landmarks import Landmarks
+from deblur_avatar.config.reading import parse, read_yaml
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.fitting.landmarks import Landmarks
 from deblur_avatar.pipeline import clip as stage
-from deblur_avatar.pipeline.clip import load_clip
+from deblur_avatar.pipeline.clip import ClipParams, load_clip
 from deblur_avatar.sources.multiview import Segment
+from deblur_avatar.sources.studio.params import StudioParams
 
 SCENES = read_yaml(Path(__file__).parents[2] / "params.yaml")["scenes"]
 

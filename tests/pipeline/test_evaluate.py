@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from deblur_avatar.pipeline.evaluate import evaluate
-from deblur_avatar.pipeline.evaluation_pictures import colour_map, draw_pictures
+from deblur_avatar.reporting.evaluation_pictures import colour_map, draw_pictures
 
 CPU = torch.device("cpu")
 IMAGE_KEYS = {

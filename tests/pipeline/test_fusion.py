@@ -1,11 +1,14 @@
 import pytest
 import torch
 
-from deblur_avatar.config import FusionParams, ModelParams, TrajectoryParams, parse
+from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.motion.params import TrajectoryParams
 from deblur_avatar.pipeline.fusion import fuse
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.training.params import FusionParams
 
 CPU = torch.device("cpu")
 
@@ -64,7 +67,7 @@ def test_supervision_decides_what_is_learned(fused):
 
 
 def test_a_method_without_fusion_goes_on_as_before(fused):
-    _, (_, motion, _) = fused("blind")
+    _, (_, motion, _) = fused("agnostic")
     assert motion.kind == "frame"
 
 

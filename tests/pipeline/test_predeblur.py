@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.config import PredeblurParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import write_picture
-from deblur_avatar.pipeline.predeblur import measure_predeblur, predeblur
+from deblur_avatar.pipeline.predeblur import PredeblurParams, measure_predeblur, predeblur
 
 PARAMS = PredeblurParams(
     given="", lengths=(3.0, 5.0), angles=4, balance=0.002, surroundings=3.0, gain=0.05

@@ -6,15 +6,17 @@ from typing import Any
 import pytest
 import torch
 
-from deblur_avatar.artifacts import BlurryClip, Body, Observations, Poses
-from deblur_avatar.avatar.body import posed_joints, posed_vertices
-from deblur_avatar.config import PreprocessParams
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import BlurryClip
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.body_estimation import body_fit
+from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.fitting import body_fit
-from deblur_avatar.fitting.landmarks import Landmarks
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.resampling import crop_and_scale
-from deblur_avatar.pipeline.preprocess import Preprocessed, preprocess
+from deblur_avatar.pipeline.preprocess import Preprocessed, PreprocessParams, preprocess
 from tests.walking_person import FPS, SIZE, detect_perfectly, ring_of_cameras, walking_poses
 
 FRAMES, TRAIN, RECORDED = 9, 1, (0, 1, 3)

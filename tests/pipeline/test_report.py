@@ -8,11 +8,16 @@ import pytest
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.imaging.video_writing import write_video
-from deblur_avatar.pipeline.picture_strips import INPUT, TRUTH, person_box, strips_of_scene
 from deblur_avatar.pipeline.report import make_report
-from deblur_avatar.pipeline.report_tables import facts_of, tables_of
+from deblur_avatar.reporting.picture_strips import (
+    INPUT,
+    TRUTH,
+    person_box,
+    strips_of_scene,
+)
+from deblur_avatar.reporting.report_tables import facts_of, tables_of
 
-PSNR = {"ceiling": 30.0, "oracle": 28.0, "blind": 24.0, "paper": 25.0}
+PSNR = {"ceiling": 30.0, "oracle": 28.0, "agnostic": 24.0, "paper": 25.0}
 
 
 def result(scene, method, psnr, **changes):
@@ -22,7 +27,7 @@ def result(scene, method, psnr, **changes):
         "novel_pose": {"psnr": psnr - 1}, "cameras": {"left": {"psnr": psnr, "psnr_foreground": 9}},
         "motion": {"joint_error_mm": 10.0}, "initial": {"joint_error_mm": 14.0},
         "cost": {"train_s": 100.0, "render_fps": 50.0}, "model": {"gaussians": 8000},
-        "counts": {"novel_views": 8}, "run": {"device": "cpu", "schedule": "quick"},
+        "counts": {"novel_views": 8}, "run": {"device": "cpu", "schedule": "medium"},
         "recovery": {"psnr": None}, "gap_to_ceiling_db": None,
     } | changes  # fmt: skip
 
@@ -36,7 +41,7 @@ def person(value):
 @pytest.fixture
 def project(tmp_path):
     """Metrics, pictures and an animation of two scenes, a few pixels each."""
-    for scene, methods in (("studio", list(PSNR)), ("yard", ["oracle", "blind", "paper"])):
+    for scene, methods in (("studio", list(PSNR)), ("yard", ["oracle", "agnostic", "paper"])):
         for method in methods:
             write_json(
                 tmp_path / "metrics" / scene / f"{method}.json",
@@ -124,7 +129,7 @@ def test_the_page_shows_every_method_from_input_to_truth(project):
     page = Page(made(project).page)
     labels = page.words
     start = labels.index(INPUT)
-    assert labels[start : start + 5] == [INPUT, "blind", "paper", "oracle", TRUTH]
+    assert labels[start : start + 5] == [INPUT, "agnostic", "paper", "oracle", TRUTH]
     pictures = [address for address in page.addresses if address.startswith("data:image/jpeg")]
     assert len(pictures) == 2 * 2 * 5 + 1  # scenes, views, columns; one contact sheet
     assert sum(address.startswith("data:video/mp4") for address in page.addresses) == 1
@@ -204,13 +209,13 @@ def test_the_table_for_the_readme_has_one_part_a_scene(project):
 def test_scenes_that_saw_the_same_methods_are_averaged_with_their_spread(project):
     assert "Mean over" not in made(project).tables  # two scenes, and not the same methods
     for scene, gain in (("a", 0.0), ("b", 1.0), ("c", 2.0)):
-        for method in ("oracle", "blind"):
+        for method in ("oracle", "agnostic"):
             path = project / "repeated" / scene / f"{method}.json"
             write_json(path, result(scene, method, PSNR[method] + gain))
     report = make_report(project / "repeated", project / "evaluate", project / "animate")
     title = "Mean over 3 scenes \u00b1 standard deviation"
     assert report.tables.startswith(f"**{title}**")
-    assert "| `blind` | 25.00 \u00b1 1.00 |" in report.tables
+    assert "| `agnostic` | 25.00 \u00b1 1.00 |" in report.tables
     page = Page(report.page)
     assert title in page.words
     assert "25.00 \u00b1 1.00" in page.words
@@ -263,7 +268,7 @@ VIEW = {
         ({"novel_pose": 1}, r"0\.novel_pose"),
         ({"render": ["2-r.png"]}, r"0\.render"),
         ({"truth": ["t.png"]}, r"0\.truth"),
-        ({"blurred": "../yard-blind/2-b.png"}, r"0\.blurred"),
+        ({"blurred": "../yard-agnostic/2-b.png"}, r"0\.blurred"),
         ({"blurred": "2\x00.png"}, r"0\.blurred"),
         ({"render": ""}, r"0\.render"),
     ],
@@ -278,19 +283,19 @@ def test_an_entry_of_views_that_is_none_is_named(project, changes, place):
 def test_names_from_files_cannot_change_the_page(project):
     name = "<script>alert(1)</script>"
     views = json.loads((project / "evaluate/yard-paper/views.json").read_text())
-    for method in ("oracle", "blind", "paper"):
+    for method in ("oracle", "agnostic", "paper"):
         renamed = [{**view, "camera": name} for view in views]
         write_json(project / f"evaluate/yard-{method}/views.json", renamed)
     assert "<script>" not in made(project).page
 
 
 def test_only_views_that_all_methods_drew_are_lined_up(project):
-    path = project / "evaluate/studio-blind/views.json"
+    path = project / "evaluate/studio-agnostic/views.json"
     write_json(path, json.loads(path.read_text())[:1])
     folders = {m: project / "evaluate" / f"studio-{m}" for m in PSNR}
     strips = strips_of_scene(folders, most=4)
     assert len(strips) == 1
-    assert list(strips[0].pictures) == [INPUT, "blind", "paper", "oracle", TRUTH]
+    assert list(strips[0].pictures) == [INPUT, "agnostic", "paper", "oracle", TRUTH]
     assert "frame 2" in strips[0].caption
     assert not strips[0].novel_pose
 
@@ -303,7 +308,7 @@ def test_every_picture_of_a_strip_shows_the_person_large_and_in_the_same_place(p
     # Twelve rows of twenty, enlarged no more than twofold: 24 rows and a margin.
     assert 20 <= bottom - top <= 32
     assert abs((left + right) - strip.pictures[TRUTH].shape[1]) <= 4
-    for label in ("blind", "paper", "oracle"):
+    for label in ("agnostic", "paper", "oracle"):
         assert max(abs(a - b) for a, b in zip(boxes[label], boxes[TRUTH], strict=True)) <= 2
 
 
@@ -335,7 +340,7 @@ def test_the_strip_of_the_readme_is_a_picture_of_all_columns(project):
 def test_few_cameras_are_shown_apart_and_many_are_not():
     def titles(count):
         cameras = {f"cam{i}": {"psnr": 20.0} for i in range(count)}
-        found = tables_of({"blind": result("s", "blind", 20.0, cameras=cameras)}, {})
+        found = tables_of({"agnostic": result("s", "agnostic", 20.0, cameras=cameras)}, {})
         return [titled.title for titled in found]
 
     assert "Camera by camera" in titles(3)
@@ -344,24 +349,24 @@ def test_few_cameras_are_shown_apart_and_many_are_not():
 
 
 def test_tables_that_nobody_measured_are_left_out():
-    bare = {"scene": "s", "method": "blind", "image": {"psnr": 20.0}}
-    assert [titled.title for titled in tables_of({"blind": bare}, {})] == ["Novel views"]
+    bare = {"scene": "s", "method": "agnostic", "image": {"psnr": 20.0}}
+    assert [titled.title for titled in tables_of({"agnostic": bare}, {})] == ["Novel views"]
 
 
 def test_the_poses_before_fitting_stand_first_and_are_not_ranked():
     results = {
-        "blind": result("s", "blind", 20.0), "paper": result("s", "paper", 21.0),
+        "agnostic": result("s", "agnostic", 20.0), "paper": result("s", "paper", 21.0),
     }  # fmt: skip
     results["paper"]["motion"] = {"joint_error_mm": 15.0}
     titled = next(t for t in tables_of(results, {}) if t.title == "Motion against the truth")
-    assert [row for row, _ in titled.table.rows] == ["initial", "blind", "paper"]
+    assert [row for row, _ in titled.table.rows] == ["initial", "agnostic", "paper"]
     assert [cells[0].text for _, cells in titled.table.rows] == ["14.0", "10.0", "15.0"]
     assert [cells[0].rank for _, cells in titled.table.rows] == [None, 1, 2]
 
 
 def test_fitted_bodies_are_shown_camera_by_camera():
     preprocess = {"fit": {"cam01": {"reprojection_px": 4.61, "iou": 0.85, "offset_px": [0, 1]}}}
-    titled = tables_of({"blind": result("s", "blind", 20.0)}, preprocess)[-1]
+    titled = tables_of({"agnostic": result("s", "agnostic", 20.0)}, preprocess)[-1]
     assert titled.table.of == "camera"
     assert [cell.text for cell in titled.table.rows[0][1]] == ["4.6", "0.850"]
 
@@ -397,7 +402,7 @@ def untrue(project, method, explained):
 
 def test_a_scene_without_truth_says_how_well_its_blurred_frames_are_explained(project):
     untrue(project, "lean", 31.25)
-    untrue(project, "blind", 29.0)
+    untrue(project, "agnostic", 29.0)
     report = made(project)
     page = Page(report.page)
     assert "This footage has no sharp truth" in report.page

@@ -4,12 +4,16 @@ import json
 import pytest
 import torch
 
-from deblur_avatar.config import RunParams
+from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.fitting.run_folder import Snapshot
-from deblur_avatar.pipeline.evaluate import compare
-from deblur_avatar.pipeline.timeline import VIEWS, moments_of, timeline
-from deblur_avatar.pipeline.truth_views import truth_views
+from deblur_avatar.evaluation.comparisons import compare
+from deblur_avatar.evaluation.truth_views import truth_views
+from deblur_avatar.pipeline.timeline import (
+    VIEWS,
+    moments_of,
+    timeline,
+)
+from deblur_avatar.training.resume import Snapshot
 
 CPU = torch.device("cpu")
 RUN = RunParams(scene="hall", observations="sharp", start="plain", method="oracle")

@@ -3,10 +3,11 @@ import dataclasses
 import pytest
 import torch
 
-from deblur_avatar.avatar.model import joint_rotations
-from deblur_avatar.avatar.motion import FrameMotion, PairMotion
-from deblur_avatar.config import TrajectoryParams, parse
+from deblur_avatar.avatars.model import joint_rotations
+from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.motion.params import TrajectoryParams
+from deblur_avatar.motion.trajectory import FrameMotion, PairMotion
 from deblur_avatar.pipeline.trajectory import fit_trajectory, new_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 
@@ -66,7 +67,7 @@ def test_the_paper_has_five_instants_from_start_to_end(go_on, method, schedule, 
 def test_without_a_model_of_blur_the_body_stands_still_in_a_refined_pose(
     go_on, method, observations
 ):
-    _, motion, _, _ = go_on(method("blind"))
+    _, motion, _, _ = go_on(method("agnostic"))
     assert motion.kind == "frame"
     assert motion.u.tolist() == [0.5]
     torch.testing.assert_close(motion.body_pose[:, 0], motion.centre.body_pose)
@@ -76,7 +77,7 @@ def test_without_a_model_of_blur_the_body_stands_still_in_a_refined_pose(
 
 
 def test_fixed_poses_stay_as_they_were_given(go_on, method, observations):
-    _, motion, _, _ = go_on(method("blind", motion="fixed"))
+    _, motion, _, _ = go_on(method("agnostic", motion="fixed"))
     torch.testing.assert_close(joint_rotations(motion.centre), joint_rotations(observations.poses))
 
 
@@ -108,7 +109,7 @@ def test_new_trajectories_start_from_the_given_poses(observations, method):
     pair = new_trajectory(observations, method(virtual_poses=3), generator)
     assert isinstance(pair, PairMotion)
     assert pair.u.tolist() == [0.0, 0.5, 1.0]
-    frame = new_trajectory(observations, method("blind"), generator)
+    frame = new_trajectory(observations, method("agnostic"), generator)
     assert isinstance(frame, FrameMotion)
     for trajectory in (pair, frame):
         expected = joint_rotations(observations.poses)[1]

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deblur_avatar.avatar.model import AvatarModel
+from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.pipeline.warmup import warm_up
 
 CPU = torch.device("cpu")

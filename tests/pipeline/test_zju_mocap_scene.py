@@ -7,9 +7,12 @@ import pytest
 import torch
 from ruamel.yaml import YAML
 
-from deblur_avatar.artifacts import Avatar, BlurryClip, Observations, Reference
-from deblur_avatar.avatar.body import posed_vertices
-from deblur_avatar.imaging.mesh_rendering import View, cast_rays
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.clip import BlurryClip
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 from tests.process_state import process_state_kept
 from tests.stages.running import script_of
 from tests.zju_sequence import SHAPES, write_sequence

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Cameras
+from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import camera_centres, look_at
 from deblur_avatar.sources.calibration import read_calibration

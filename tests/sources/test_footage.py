@@ -5,7 +5,11 @@ import numpy as np
 import pytest
 
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.sources.footage import Footage, files_in_order, read_footage
+from deblur_avatar.sources.footage import (
+    Footage,
+    files_in_order,
+    read_footage,
+)
 from tests.sources.small_videos import FPS, HEIGHT, WIDTH, picture, write_video
 
 PICTURES = [picture(index) for index in range(6)]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.avatar.body import posed_joints
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import look_at, project
 from deblur_avatar.sources.given_poses import read_poses

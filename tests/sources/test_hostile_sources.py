@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.npz_files import load_npz
-from deblur_avatar.pickles import load_arrays, load_npy
+from deblur_avatar.readers.npz_files import load_npz
+from deblur_avatar.readers.pickles import load_arrays, load_npy
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.folders import file_inside
 from deblur_avatar.sources.footage import files_in_order, read_footage

@@ -7,10 +7,13 @@ import pytest
 import torch
 from PIL import Image
 
-from deblur_avatar.artifacts import Body, Clip, Reference
-from deblur_avatar.config import ClipParams, MonocularParams, parse
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.sources.monocular import load_monocular
+from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.sources.monocular import MonocularParams, load_monocular
 from tests.sources.small_videos import FPS, HEIGHT, WIDTH, picture, write_video
 from tests.sources.test_keypoint_files import openpose, points
 

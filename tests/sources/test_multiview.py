@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.config import MultiviewParams
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.sources.multiview import load_multiview
+from deblur_avatar.sources.multiview import MultiviewParams, load_multiview
 
 WIDTH, HEIGHT, COUNT, FPS = 128, 48, 14, 30
 NARROW = 126  # the second camera's pictures; its calibration says 128

@@ -17,7 +17,8 @@ from pathlib import Path
 import torch
 import torch._dynamo  # the optimisers' first step would import it
 
-from deblur_avatar.fitting import avatar_fit, run_folder
+from deblur_avatar.training import resume as run_folder
+from deblur_avatar.training import trainer as avatar_fit
 from tests.stages.running import fitting_options, script_of
 
 

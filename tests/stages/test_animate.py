@@ -1,15 +1,15 @@
 import av
 import pytest
 
-from deblur_avatar.avatar.motion import FrameMotion
 from deblur_avatar.imaging.picture_files import read_picture
+from deblur_avatar.motion.trajectory import FrameMotion
 from tests.conftest import colourful
 from tests.stages.running import run_script
 
 PARAMS = """\
 seed: 0
 animations:
-  capsules-blind: {scene: capsules, motion: MOTION, start: 0.0, seconds: 0.5, fps: 8.0,
+  capsules-agnostic: {scene: capsules, motion: MOTION, start: 0.0, seconds: 0.5, fps: 8.0,
     image_size: 32, turns: 1.0, travel: 0.0, margin: 0.1}
 """
 
@@ -25,7 +25,7 @@ def run_stage(tmp_path, body, observations):
     def run(motion):
         (tmp_path / "params.yaml").write_text(PARAMS.replace("MOTION", motion))
         options = {
-            "name": "capsules-blind", "observations": tmp_path / "observations",
+            "name": "capsules-agnostic", "observations": tmp_path / "observations",
             "avatar": tmp_path / "avatar", "fitted": tmp_path / "motion",
             "out": tmp_path / "out", "params_file": tmp_path / "params.yaml",
         }  # fmt: skip

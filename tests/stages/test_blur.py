@@ -4,7 +4,8 @@ from pathlib import Path
 
 import torch
 
-from deblur_avatar.artifacts import BlurryClip, Cameras, Clip
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import BlurryClip, Clip
 from tests.stages.running import run_script
 
 PARAMS = """

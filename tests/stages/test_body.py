@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 from numpy.random import default_rng
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.avatar.capsule_body import capsule_body
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.bodies.capsule import capsule_body
 from tests.stages.running import run_script
 
 PARAMS = """

@@ -4,7 +4,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Body, Clip, Reference
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
 from tests.stages.running import run_script
 
 PARAMS = """

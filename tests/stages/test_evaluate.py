@@ -7,7 +7,7 @@ from tests.stages.running import run_script
 
 PARAMS = """
 seed: 3
-schedule: quick
+schedule: medium
 runs:
   hall-oracle: {scene: hall, observations: sharp, start: plain, method: oracle}
 """
@@ -47,7 +47,7 @@ def test_the_stage_measures_a_few_pixels(painted, make_observations, tmp_path):
     assert measured["image"]["psnr"] > 28
     assert measured["cost"]["warmup_s"] == 4
     assert measured["cost"]["render_fps"] > 1
-    assert measured["run"] == {"seed": 3, "device": "cpu", "schedule": "quick", "iterations": 7}
+    assert measured["run"] == {"seed": 3, "device": "cpu", "schedule": "medium", "iterations": 7}
     views = json.loads((tmp_path / "out" / "views.json").read_text())
     assert all((tmp_path / "out" / view["render"]).exists() for view in views)
 

@@ -11,7 +11,9 @@ import pytest
 from ruamel.yaml import YAML
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Avatar, Checkpoint, Motion
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.checkpoint import Checkpoint
+from deblur_avatar.artifacts.motion import Motion
 from tests.process_state import process_state_kept
 from tests.stages.running import BEFORE, fitting_options, run_script, script_of, words
 

@@ -1,7 +1,7 @@
 import json
 from pathlib import Path
 
-from deblur_avatar.artifacts import Observations
+from deblur_avatar.artifacts.observations import Observations
 from tests.stages.running import run_script
 
 PARAMS = """

@@ -6,7 +6,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from deblur_avatar.artifacts import BlurryClip, Body, Cameras, Observations, Poses
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import BlurryClip
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
 from tests.stages.running import run_script
 
 PARAMS = """

@@ -6,7 +6,7 @@ from tests.stages.running import run_script
 def test_it_writes_the_report_and_prints_the_table_and_where_it_lies(tmp_path):
     metrics = tmp_path / "metrics" / "studio"
     metrics.mkdir(parents=True)
-    for method, psnr in (("oracle", 28.0), ("blind", 24.0), ("paper", 25.0)):
+    for method, psnr in (("oracle", 28.0), ("agnostic", 24.0), ("paper", 25.0)):
         content = {"scene": "studio", "method": method, "image": {"psnr": psnr}}
         (metrics / f"{method}.json").write_text(json.dumps(content))
     (tmp_path / "params.yaml").write_text("seed: 0\n")

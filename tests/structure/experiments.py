@@ -2,8 +2,12 @@
 
 from pathlib import Path
 
-from deblur_avatar.config import read_yaml
-from deblur_avatar.pipeline.experiment import PARAMS, PIPELINE, experiment_pipeline
+from deblur_avatar.config.reading import read_yaml
+from deblur_avatar.pipeline.experiment import (
+    PARAMS,
+    PIPELINE,
+    experiment_pipeline,
+)
 
 ROOT = Path(__file__).parents[2]
 MAKER = "make deps"

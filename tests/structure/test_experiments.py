@@ -11,8 +11,10 @@ import pytest
 from dvc.utils.hydra import apply_overrides
 from ruamel.yaml import YAML
 
-from deblur_avatar.config import ClipParams, check_parameters, load_params, read_params
+from deblur_avatar.config.reading import load_params, read_params
 from deblur_avatar.pipeline.ablations import SECTIONS
+from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.pipeline.parameters import check_parameters
 from tests.structure.experiments import (
     PARAMS,
     PIPELINE,
@@ -29,7 +31,7 @@ from tests.structure.import_closure import (
     stages,
 )
 
-BOUNDED = ["ceiling", "oracle", "blind"]
+BOUNDED = ["ceiling", "oracle", "agnostic"]
 ZJU = ROOT / "experiments/zju"
 WINDOWS = {377: 17, 392: 17, 393: 33, 394: 33, 386: 49, 387: 49}
 ABLATIONS = ROOT / "experiments/ablations"
@@ -90,7 +92,7 @@ def test_zju_mocap_is_the_six_subjects_of_the_paper():
         clip = load_params(ZJU / PARAMS, f"scenes.zju_{subject}.clip", ClipParams)
         assert clip.root == f"$(ZJU_MOCAP_ROOT)/CoreView_{subject}"
         assert (clip.train_camera, clip.test_cameras, clip.test_stride) == (0, "all", 30)
-        for method in ("oracle", "blind", "paper", "lean"):
+        for method in ("oracle", "agnostic", "paper", "lean"):
             assert content["runs"][f"zju_{subject}-{method}"]["scene"] == f"zju_{subject}"
     assert len(content["scenes"]) == len(WINDOWS)
     frames = {name: scene["clip"]["frames"][1] for name, scene in content["scenes"].items()}
@@ -125,7 +127,7 @@ def test_a_missing_body_is_one_clear_line(tmp_path, model):
 
 def test_pipelines_that_gather_experiments_depend_on_the_code_they_run():
     gathering = own_pipelines()[1:]
-    suite = [ROOT / "stability" / method for method in ("blind", "", "lean", "paper")]
+    suite = [ROOT / "stability" / method for method in ("agnostic", "", "lean", "paper")]
     assert gathering == [folder / PIPELINE for folder in (ABLATIONS, *suite)]
     for path in gathering:
         for stage in resolved(path.parent).values():
@@ -134,7 +136,7 @@ def test_pipelines_that_gather_experiments_depend_on_the_code_they_run():
 
 def test_the_papers_names_of_two_methods_are_known_too():
     methods = read_params(ROOT / PARAMS)["methods"]
-    assert methods["no_motion"] == methods["blind"]
+    assert methods["no_motion"] == methods["agnostic"]
     assert methods["n5"] == methods["paper"]
 
 
@@ -221,5 +223,5 @@ def test_what_stands_in_for_lpips_is_compared_on_the_root_s_starts():
     paper["losses"]["lpips"] = 0.0
     assert experiment["starts"]["paper_edges"] == paper
     assert experiment["starts"]["lean_edges"] == root["starts"]["lean"]
-    assert experiment["methods"]["paper_edges"] == root["methods"]["blind"]
+    assert experiment["methods"]["paper_edges"] == root["methods"]["agnostic"]
     assert experiment["methods"]["lean_edges"] == root["methods"]["lean"]

@@ -48,7 +48,7 @@ def loaded_sections(stage):
     sections = set()
     nodes = list(ast.walk(main))
     if any(isinstance(node, ast.Name) and node.id == "fitting_stage" for node in nodes):
-        nodes += ast.walk(ast.parse((ROOT / "deblur_avatar/pipeline/fitting_stage.py").read_text()))
+        nodes += ast.walk(ast.parse((ROOT / "deblur_avatar/training/fitting_stage.py").read_text()))
     for node in nodes:
         if isinstance(node, ast.Assign) and _key(node.value) is not None:
             (target,) = node.targets

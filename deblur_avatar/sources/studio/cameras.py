@@ -8,7 +8,7 @@ import math
 
 import torch
 
-from deblur_avatar.artifacts import Cameras
+from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.geometry.cameras import look_at
 
 DISTANCE = 4.0  # metres from the cameras to the middle of the studio

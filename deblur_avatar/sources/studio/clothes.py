@@ -10,10 +10,21 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, cKDTree
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES
-from deblur_avatar.imaging.mesh_rendering import face_normals, unit
-from deblur_avatar.sources.studio.garments import GARMENTS, Garment, Landmarks, find_landmarks
-from deblur_avatar.sources.studio.shells import Mixture, cut, refine, smooth, vertex_normals
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
+from deblur_avatar.rendering.mesh_rendering import face_normals, unit
+from deblur_avatar.sources.studio.garments import (
+    GARMENTS,
+    Garment,
+    Landmarks,
+    find_landmarks,
+)
+from deblur_avatar.sources.studio.shells import (
+    Mixture,
+    cut,
+    refine,
+    smooth,
+    vertex_normals,
+)
 
 PIECES = ("skin", *(garment.piece for garment in GARMENTS), "shoes")
 HIDDEN_DEPTH = 0.03  # metres inside a hem from where on the skin below is left out
@@ -34,7 +45,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Dressed:
+class Clothed:
     """A clothed person at rest."""
 
     surface: Surface
@@ -42,12 +53,12 @@ class Dressed:
     landmarks: Landmarks
 
 
-def dress(
+def clothe(
     vertices: Float[np.ndarray, "V 3"],
     joints: Float[np.ndarray, "J 3"],
     lbs_weights: Float[np.ndarray, "V J"],
     faces: Int[np.ndarray, "F 3"],
-) -> Dressed:
+) -> Clothed:
     """Put clothes, shoes and hair on a resting body, which must have SMPL's joints."""
     marks = find_landmarks(vertices, joints, lbs_weights)
     body = _tight_surface(vertices, lbs_weights, faces)
@@ -55,7 +66,7 @@ def dress(
     parts += [(garment.piece, _shell(garment, body, marks)) for garment in GARMENTS]
     parts += [("shoes", _shoe(side, body, marks)) for side in ("left", "right")]
     pieces = [np.full(len(part.faces), PIECES.index(name)) for name, part in parts]
-    return Dressed(_joined([part for _, part in parts]), np.concatenate(pieces), marks)
+    return Clothed(_joined([part for _, part in parts]), np.concatenate(pieces), marks)
 
 
 def _bare_skin(body: Surface, marks: Landmarks) -> Surface:

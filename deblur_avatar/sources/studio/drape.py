@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES
-from deblur_avatar.sources.studio.clothes import Dressed
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
+from deblur_avatar.sources.studio.clothes import Clothed
 
 SAG = 0.05  # metres that the loosest hem moves when down turns from along it to across it
 FOLD = 0.022  # metres, the height of a fold at a joint that is bent by half a turn
@@ -30,7 +30,7 @@ _BENDS = {
 
 @dataclass(frozen=True)
 class Drape:
-    """A dressed person's cloth: what `skinned` needs again and again."""
+    """A clothed person's cloth: what `skinned` needs again and again."""
 
     vertices: Float32[np.ndarray, "P 3"]
     normals: Float32[np.ndarray, "P 3"]
@@ -61,11 +61,11 @@ class Drape:
         return np.einsum("pij,pj->pi", transforms[..., :3], points) + transforms[..., 3]
 
 
-def hang(dressed: Dressed) -> Drape:
-    """Prepare the cloth of a dressed person; what has no slack never moves."""
-    surface, folds = dressed.surface, []
+def hang(clothed: Clothed) -> Drape:
+    """Prepare the cloth of a clothed person; what has no slack never moves."""
+    surface, folds = clothed.surface, []
     for name, direction in _BENDS.items():
-        away = surface.vertices - dressed.landmarks.of(name)
+        away = surface.vertices - clothed.landmarks.of(name)
         aim = np.asarray(direction) / np.linalg.norm(direction)
         near = np.exp(-0.5 * (away**2).sum(1) / FOLD_REACH**2)
         # Bent by a second wave, so that folds are no straight ridges.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 
 HEAD = SMPL_JOINT_NAMES.index("head")
 Places = Float[np.ndarray, "N 3"]

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,

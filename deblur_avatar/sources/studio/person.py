@@ -8,12 +8,20 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.avatar.body import joint_transforms, shaped_joints, shaped_vertices
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.bodies.posed_body import (
+    joint_transforms,
+    shaped_joints,
+    shaped_vertices,
+)
 from deblur_avatar.geometry.rotations import axis_angle_to_quat
-from deblur_avatar.imaging.mesh_rendering import TexturedMesh, cell_middles, used_cells
-from deblur_avatar.imaging.visibility import openness
-from deblur_avatar.sources.studio.clothes import Dressed, dress
+from deblur_avatar.rendering.mesh_rendering import (
+    TexturedMesh,
+    cell_middles,
+    used_cells,
+)
+from deblur_avatar.rendering.visibility import openness
+from deblur_avatar.sources.studio.clothes import Clothed, clothe
 from deblur_avatar.sources.studio.drape import Drape, hang
 from deblur_avatar.sources.studio.motion import Moves
 from deblur_avatar.sources.studio.texture import CELLS, paint
@@ -43,22 +51,22 @@ class Person:
 
 
 def create_person(body: Body, betas: Float[Tensor, " B"]) -> Person:
-    """Shape, dress and paint a person; hollows are darkened once, in the rest pose."""
-    dressed = dress(
+    """Shape, clothe and paint a person; hollows are darkened once, in the rest pose."""
+    clothed = clothe(
         shaped_vertices(body, betas).double().numpy(),
         shaped_joints(body, betas).double().numpy(),
         body.lbs_weights.double().numpy(),
         body.faces.numpy(),
     )
-    albedo = paint(dressed) * _shade(dressed)[..., None]
+    albedo = paint(clothed) * _shade(clothed)[..., None]
     return Person(
-        body, betas, TexturedMesh(dressed.surface.faces.astype(np.int32), albedo), hang(dressed)
+        body, betas, TexturedMesh(clothed.surface.faces.astype(np.int32), albedo), hang(clothed)
     )
 
 
-def _shade(dressed: Dressed) -> Float32[np.ndarray, "T R R"]:
+def _shade(clothed: Clothed) -> Float32[np.ndarray, "T R R"]:
     """The share of light that reaches each cell, from its corners."""
-    surface, (u, v) = dressed.surface, cell_middles(CELLS)
+    surface, (u, v) = clothed.surface, cell_middles(CELLS)
     light = openness(surface.vertices, surface.normals, surface.faces, SKY_RAYS)
     a, b, c = (DARKEST + (1 - DARKEST) * light)[surface.faces].T
     table = np.zeros((len(surface.faces), CELLS, CELLS), np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix, csr_matrix, diags
 
-from deblur_avatar.imaging.mesh_rendering import face_normals, unit
+from deblur_avatar.rendering.mesh_rendering import face_normals, unit
 
 
 @dataclass(frozen=True)

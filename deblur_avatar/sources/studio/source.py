@@ -15,8 +15,11 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Body, Cameras, Clip, Poses, Reference
-from deblur_avatar.config import StudioParams
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.imaging.exposure import (
@@ -25,11 +28,17 @@ from deblur_avatar.imaging.exposure import (
     frames_before,
     frames_with_whole_window,
 )
-from deblur_avatar.imaging.mesh_rendering import Lighting, Picture, View, render
-from deblur_avatar.imaging.visibility import seen_cells, seen_pixels
+from deblur_avatar.rendering.mesh_rendering import (
+    Lighting,
+    Picture,
+    View,
+    render,
+)
+from deblur_avatar.rendering.visibility import seen_cells, seen_pixels
 from deblur_avatar.sources.studio.cameras import place_cameras
 from deblur_avatar.sources.studio.motion import Moves, move
 from deblur_avatar.sources.studio.noise import disturb
+from deblur_avatar.sources.studio.params import StudioParams
 from deblur_avatar.sources.studio.person import Person, create_person
 
 SUBFRAMES = 8

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Float32
 
 from deblur_avatar.imaging.color import srgb_to_linear
-from deblur_avatar.imaging.mesh_rendering import cell_middles, used_cells
-from deblur_avatar.sources.studio.clothes import PIECES, Dressed
+from deblur_avatar.rendering.mesh_rendering import cell_middles, used_cells
+from deblur_avatar.sources.studio.clothes import PIECES, Clothed
 from deblur_avatar.sources.studio.garments import Landmarks
 
 CELLS = 8  # along a triangle's edge: 1 to 3 mm, finer than a pixel of 4 mm sees
@@ -37,18 +37,18 @@ Colours = Float[np.ndarray, "N 3"]
 Places = Float[np.ndarray, "N 3"]
 
 
-def paint(dressed: Dressed) -> Float32[np.ndarray, "T R R 3"]:
+def paint(clothed: Clothed) -> Float32[np.ndarray, "T R R 3"]:
     """Colour every cell of every triangle: linear light, R = `CELLS`."""
-    surface, (u, v) = dressed.surface, cell_middles(CELLS)
+    surface, (u, v) = clothed.surface, cell_middles(CELLS)
     a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
     places = a[:, None] + u[:, None] * (b - a)[:, None] + v[:, None] * (c - a)[:, None]
     facing = surface.normals[surface.faces].mean(1)
     srgb = np.zeros(places.shape)
     for index, piece in enumerate(PIECES):
-        chosen = dressed.pieces == index
+        chosen = clothed.pieces == index
         flat = places[chosen].reshape(-1, 3)
         outward = np.repeat(facing[chosen], len(u), axis=0)
-        colours = _PAINTERS[piece](flat, outward, dressed.landmarks)
+        colours = _PAINTERS[piece](flat, outward, clothed.landmarks)
         srgb[chosen] = colours.reshape(-1, len(u), 3)
     linear = srgb_to_linear(torch.from_numpy(srgb.clip(0, 1))).numpy()
     table = np.zeros((len(a), CELLS, CELLS, 3), np.float32)

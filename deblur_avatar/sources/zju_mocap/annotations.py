@@ -18,11 +18,11 @@ from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
-from deblur_avatar.pickles import load_npy
+from deblur_avatar.readers.pickles import load_npy
 
 PIXEL_CENTRE = 0.5  # ours; OpenCV puts the top left pixel's centre at 0
 MILLIMETRES = 1000.0
-LARGEST = 1e30  # of any number: single precision, times a thousand
+MAX_VALUE = 1e30  # of any number: single precision, times a thousand
 NUMBER = "[0-9]{1,18}"
 DATED_PARTS = 5  # of a name with date and time; the fifth is the frame's number
 
@@ -139,7 +139,7 @@ def _stacked(values: Any, shape: tuple[int, ...], where: str) -> Float32[Tensor,
             raise ArtifactError(f"{where}[{camera}] must be numbers, got {value!r:.60}") from None
         if row.size != np.prod(shape) or (len(shape) > 1 and row.shape != shape):
             raise ArtifactError(f"{where}[{camera}] must be {shape}, got {row.shape}")
-        if not (abs(row) <= LARGEST).all():
+        if not (abs(row) <= MAX_VALUE).all():
             raise ArtifactError(f"{where}[{camera}] holds values that are not finite, or too large")
         rows.append(row.reshape(shape))
     return torch.from_numpy(np.stack(rows)).float()

@@ -14,18 +14,19 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from deblur_avatar.artifacts import Body, Poses
-from deblur_avatar.avatar.body import posed_vertices, shaped_joints
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed_vertices, shaped_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from deblur_avatar.pickles import load_npy
+from deblur_avatar.readers.pickles import load_npy
 from deblur_avatar.sources.folders import file_inside
 
 logger = logging.getLogger(__name__)
 
 PARAMETERS, VERTICES = "new_params", "new_vertices"
 SAME_SHAPE = 1e-4  # by which shape numbers may differ between frames
-LARGEST = 1e6  # of an angle, a place or a shape number
+MAX_VALUE = 1e6  # of an angle, a place or a shape number
 NEAR_MM = 10.0  # mean distance from the vertices given, beyond which the body is another
 
 
@@ -88,8 +89,8 @@ def _read_frame(path: Path) -> tuple[Tensor, Tensor, Tensor, Tensor]:
             f"{path}: wanted 72 (or 69) poses, 3 Rh, 3 Th and shapes, got {len(poses)}, "
             f"{len(turn)}, {len(place)} and {len(shapes)}"
         )
-    if not (torch.cat([poses, turn, place, shapes]).abs() <= LARGEST).all():
-        raise ArtifactError(f"{path} holds values that are not finite or over {LARGEST:g}")
+    if not (torch.cat([poses, turn, place, shapes]).abs() <= MAX_VALUE).all():
+        raise ArtifactError(f"{path} holds values that are not finite or over {MAX_VALUE:g}")
     return poses.reshape(24, 3), turn, place, shapes
 
 

@@ -13,13 +13,20 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.artifacts import Body, Cameras, Clip, Reference
-from deblur_avatar.config import ZjuMocapParams
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.resampling import crop_and_scale, undistort
 from deblur_avatar.sources.folders import footage_folder
 from deblur_avatar.sources.zju_mocap.annotations import Annotations, read_annotations
-from deblur_avatar.sources.zju_mocap.pictures import mask_folders_here, picture_size, read_person
+from deblur_avatar.sources.zju_mocap.params import ZjuMocapParams
+from deblur_avatar.sources.zju_mocap.pictures import (
+    mask_folders_here,
+    picture_size,
+    read_person,
+)
 from deblur_avatar.sources.zju_mocap.poses import read_poses
 
 logger = logging.getLogger(__name__)

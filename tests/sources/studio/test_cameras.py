@@ -1,7 +1,12 @@
 import torch
 
 from deblur_avatar.geometry.cameras import camera_centres, project
-from deblur_avatar.sources.studio.cameras import AIM, DISTANCE, FIELD, place_cameras
+from deblur_avatar.sources.studio.cameras import (
+    AIM,
+    DISTANCE,
+    FIELD,
+    place_cameras,
+)
 
 
 def test_the_training_camera_stands_in_front_and_the_others_all_around():

@@ -1,16 +1,26 @@
 import numpy as np
 import pytest
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.sources.studio.clothes import PIECES, Dressed, Surface, _shell, dress
-from deblur_avatar.sources.studio.garments import GARMENTS, find_landmarks, rise
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.sources.studio.clothes import (
+    PIECES,
+    Clothed,
+    Surface,
+    _shell,
+    clothe,
+)
+from deblur_avatar.sources.studio.garments import (
+    GARMENTS,
+    find_landmarks,
+    rise,
+)
 
 SHIRT, HAIR = (next(g for g in GARMENTS if g.piece == name) for name in ("shirt", "hair"))
 
 
 @pytest.fixture(scope="module")
-def dressed(body: Body) -> Dressed:
-    return dress(
+def clothed(body: Body) -> Clothed:
+    return clothe(
         body.vertices.double().numpy(),
         body.joints.double().numpy(),
         body.lbs_weights.double().numpy(),
@@ -18,34 +28,34 @@ def dressed(body: Body) -> Dressed:
     )
 
 
-def vertices_of(dressed: Dressed, piece: str) -> np.ndarray:
-    faces = dressed.surface.faces[dressed.pieces == PIECES.index(piece)]
-    return dressed.surface.vertices[np.unique(faces)]
+def vertices_of(clothed: Clothed, piece: str) -> np.ndarray:
+    faces = clothed.surface.faces[clothed.pieces == PIECES.index(piece)]
+    return clothed.surface.vertices[np.unique(faces)]
 
 
-def test_every_piece_is_worn(dressed: Dressed):
-    assert set(np.unique(dressed.pieces)) == set(range(len(PIECES)))
+def test_every_piece_is_worn(clothed: Clothed):
+    assert set(np.unique(clothed.pieces)) == set(range(len(PIECES)))
 
 
-def test_skinning_weights_stay_weights(dressed: Dressed):
-    weights = dressed.surface.lbs_weights
+def test_skinning_weights_stay_weights(clothed: Clothed):
+    weights = clothed.surface.lbs_weights
     assert weights.min() >= 0
     np.testing.assert_allclose(weights.sum(1), 1)
 
 
-def test_clothes_lie_where_they_belong(dressed: Dressed):
-    marks = dressed.landmarks
-    shirt, shorts = vertices_of(dressed, "shirt"), vertices_of(dressed, "shorts")
+def test_clothes_lie_where_they_belong(clothed: Clothed):
+    marks = clothed.landmarks
+    shirt, shorts = vertices_of(clothed, "shirt"), vertices_of(clothed, "shorts")
     assert shirt[:, 1].min() > marks.of("left_hip")[1] - 0.05
     assert np.abs(shirt[:, 0]).max() < marks.of("left_elbow")[0]
     assert shorts[:, 1].min() > marks.of("left_knee")[1]
     assert shorts[:, 1].max() < marks.of("spine1")[1]
-    assert vertices_of(dressed, "hair")[:, 1].min() > marks.of("neck")[1]
-    assert vertices_of(dressed, "shoes")[:, 1].max() < marks.of("left_ankle")[1] + 0.02
+    assert vertices_of(clothed, "hair")[:, 1].min() > marks.of("neck")[1]
+    assert vertices_of(clothed, "shoes")[:, 1].max() < marks.of("left_ankle")[1] + 0.02
 
 
 @pytest.fixture(scope="module")
-def tube(dressed: Dressed) -> Surface:
+def tube(clothed: Clothed) -> Surface:
     """A trunk without arms: 12 cm thick, from under the hips to the chest."""
     sections, rows = 32, 40
     angle, height = np.meshgrid(
@@ -65,18 +75,18 @@ def tube(dressed: Dressed) -> Surface:
     )
 
 
-def test_a_hem_is_straight_across_the_bodys_triangles(dressed: Dressed, tube: Surface):
-    shirt = _shell(SHIRT, tube, dressed.landmarks)
-    hem = dressed.landmarks.of("pelvis")[1] - 0.045
+def test_a_hem_is_straight_across_the_bodys_triangles(clothed: Clothed, tube: Surface):
+    shirt = _shell(SHIRT, tube, clothed.landmarks)
+    hem = clothed.landmarks.of("pelvis")[1] - 0.045
     lowest = shirt.vertices[shirt.vertices[:, 1] < hem + 0.002]
     assert len(lowest) > 20
     np.testing.assert_allclose(lowest[:, 1], hem, atol=1e-6)
 
 
 def test_cloth_keeps_its_distance_from_the_body_and_is_loosest_at_the_hem(
-    dressed: Dressed, tube: Surface
+    clothed: Clothed, tube: Surface
 ):
-    shirt = _shell(SHIRT, tube, dressed.landmarks)
+    shirt = _shell(SHIRT, tube, clothed.landmarks)
     distance = np.hypot(shirt.vertices[:, 0], shirt.vertices[:, 2]) - 0.12
     assert distance.min() > SHIRT.tight - 0.002  # the tube has 32 corners
     hem = shirt.vertices[:, 1] < -0.04
@@ -84,9 +94,9 @@ def test_cloth_keeps_its_distance_from_the_body_and_is_loosest_at_the_hem(
     np.testing.assert_allclose(shirt.slack[hem], SHIRT.loose - SHIRT.least, atol=1e-4)
 
 
-def test_looseness_and_slack_are_of_cloth_alone(dressed: Dressed):
-    surface = dressed.surface
-    skin = np.unique(surface.faces[dressed.pieces == PIECES.index("skin")])
+def test_looseness_and_slack_are_of_cloth_alone(clothed: Clothed):
+    surface = clothed.surface
+    skin = np.unique(surface.faces[clothed.pieces == PIECES.index("skin")])
     assert surface.looseness[skin].max() == 0
     assert surface.slack[skin].max() == 0
     assert 0 <= surface.looseness.min() <= surface.looseness.max() <= 1
@@ -94,8 +104,8 @@ def test_looseness_and_slack_are_of_cloth_alone(dressed: Dressed):
     assert surface.slack.max() > 0.01
 
 
-def test_skin_deep_under_the_shirt_is_left_out(dressed: Dressed):
-    skin = vertices_of(dressed, "skin")
+def test_skin_deep_under_the_shirt_is_left_out(clothed: Clothed):
+    skin = vertices_of(clothed, "skin")
     chest = (np.abs(skin[:, 0]) < 0.1) & (skin[:, 1] > 0.1) & (skin[:, 1] < 0.3)
     assert not chest.any()
 

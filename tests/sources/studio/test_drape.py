@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.geometry.skinning import skin_points
-from deblur_avatar.sources.studio.clothes import Dressed, dress
+from deblur_avatar.sources.studio.clothes import Clothed, clothe
 from deblur_avatar.sources.studio.drape import Drape, hang
 
 REST = np.tile(np.eye(4, dtype=np.float32), (24, 1, 1))
@@ -12,8 +12,8 @@ STRAIGHT = np.zeros(24, np.float32)
 
 
 @pytest.fixture(scope="module")
-def dressed(body: Body) -> Dressed:
-    return dress(
+def clothed(body: Body) -> Clothed:
+    return clothe(
         body.vertices.double().numpy(),
         body.joints.double().numpy(),
         body.lbs_weights.double().numpy(),
@@ -22,8 +22,8 @@ def dressed(body: Body) -> Dressed:
 
 
 @pytest.fixture(scope="module")
-def drape(dressed: Dressed) -> Drape:
-    return hang(dressed)
+def drape(clothed: Clothed) -> Drape:
+    return hang(clothed)
 
 
 def turned(angle: float) -> np.ndarray:
@@ -39,7 +39,7 @@ def test_at_rest_cloth_stays_almost_where_it_was_sewn(drape: Drape):
     assert moved.max() < 0.0015  # it rests softly on what is below
 
 
-def test_skin_follows_the_body_exactly(dressed: Dressed, drape: Drape):
+def test_skin_follows_the_body_exactly(clothed: Clothed, drape: Drape):
     rng = np.random.default_rng(0)
     transforms = REST.copy()
     transforms[:, :3, 3] = rng.uniform(-0.2, 0.2, (24, 3))

@@ -1,11 +1,16 @@
 import pytest
 import torch
 
-from deblur_avatar.artifacts import SMPL_JOINT_NAMES, Body
-from deblur_avatar.avatar.body import posed_joints
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
+from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.sources.studio.motion import MOTIONS, Moves, _moves, move
+from deblur_avatar.sources.studio.motion import (
+    MOTIONS,
+    Moves,
+    _moves,
+    move,
+)
 
 TRAINING = 80 / 60  # seconds, as in params.yaml
 

@@ -3,8 +3,8 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.sources.studio.motion import Moves, move
 from deblur_avatar.sources.studio.person import Person, create_person
 

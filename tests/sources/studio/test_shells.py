@@ -1,7 +1,13 @@
 import numpy as np
 import trimesh
 
-from deblur_avatar.sources.studio.shells import cut, neighbour_mean, refine, smooth, vertex_normals
+from deblur_avatar.sources.studio.shells import (
+    cut,
+    neighbour_mean,
+    refine,
+    smooth,
+    vertex_normals,
+)
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
 VERTICES, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces)

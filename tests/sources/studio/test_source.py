@@ -4,14 +4,25 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.artifacts import Body, Clip, Reference
-from deblur_avatar.config import StudioParams
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.color import linear_to_srgb
-from deblur_avatar.imaging.mesh_rendering import Picture, View, render
+from deblur_avatar.rendering.mesh_rendering import (
+    Picture,
+    View,
+    render,
+)
 from deblur_avatar.sources.studio.motion import move
+from deblur_avatar.sources.studio.params import StudioParams
 from deblur_avatar.sources.studio.person import create_person
-from deblur_avatar.sources.studio.source import LIGHTING, SUBFRAMES, encode, load_studio
+from deblur_avatar.sources.studio.source import (
+    LIGHTING,
+    SUBFRAMES,
+    encode,
+    load_studio,
+)
 
 TINY = StudioParams(
     source="studio",

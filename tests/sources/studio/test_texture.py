@@ -1,14 +1,25 @@
 import numpy as np
 import pytest
 
-from deblur_avatar.artifacts import Body
-from deblur_avatar.sources.studio.clothes import PIECES, Dressed, dress
-from deblur_avatar.sources.studio.texture import _PAINTERS, CELLS, RED, WHITE, _write, paint
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.sources.studio.clothes import (
+    PIECES,
+    Clothed,
+    clothe,
+)
+from deblur_avatar.sources.studio.texture import (
+    _PAINTERS,
+    CELLS,
+    RED,
+    WHITE,
+    _write,
+    paint,
+)
 
 
 @pytest.fixture(scope="module")
-def dressed(body: Body) -> Dressed:
-    return dress(
+def clothed(body: Body) -> Clothed:
+    return clothe(
         body.vertices.double().numpy(),
         body.joints.double().numpy(),
         body.lbs_weights.double().numpy(),
@@ -17,23 +28,23 @@ def dressed(body: Body) -> Dressed:
 
 
 @pytest.fixture(scope="module")
-def albedo(dressed: Dressed) -> np.ndarray:
-    return paint(dressed)
+def albedo(clothed: Clothed) -> np.ndarray:
+    return paint(clothed)
 
 
-def test_every_cell_of_every_triangle_is_painted(dressed: Dressed, albedo: np.ndarray):
-    assert albedo.shape == (len(dressed.surface.faces), CELLS, CELLS, 3)
+def test_every_cell_of_every_triangle_is_painted(clothed: Clothed, albedo: np.ndarray):
+    assert albedo.shape == (len(clothed.surface.faces), CELLS, CELLS, 3)
     i, j = np.indices((CELLS, CELLS))
     assert (albedo[:, i + j < CELLS].sum(-1) > 0).all()
     assert (albedo[:, i + j >= CELLS] == 0).all()
     assert albedo.max() <= 1
 
 
-def test_clothes_have_detail_and_pieces_differ(dressed: Dressed, albedo: np.ndarray):
+def test_clothes_have_detail_and_pieces_differ(clothed: Clothed, albedo: np.ndarray):
     used = np.add.outer(np.arange(CELLS), np.arange(CELLS)) < CELLS
     means = []
     for index, piece in enumerate(PIECES):
-        colours = albedo[dressed.pieces == index][:, used].reshape(-1, 3)
+        colours = albedo[clothed.pieces == index][:, used].reshape(-1, 3)
         means.append(colours.mean(0))
         if piece != "skin":
             assert colours.std(0).max() > 0.02, piece
@@ -41,13 +52,13 @@ def test_clothes_have_detail_and_pieces_differ(dressed: Dressed, albedo: np.ndar
     assert gaps[~np.eye(len(PIECES), dtype=bool)].min() > 0.01
 
 
-def test_the_back_bears_a_name_that_the_front_does_not(dressed: Dressed):
+def test_the_back_bears_a_name_that_the_front_does_not(clothed: Clothed):
     x, y = np.meshgrid(np.linspace(-0.12, 0.12, 60), np.linspace(0.32, 0.38, 20))
     places = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], 1)
     front, back = np.tile([0.0, 0.0, 1.0], (x.size, 1)), np.tile([0.0, 0.0, -1.0], (x.size, 1))
     shirt = _PAINTERS["shirt"]
     red = [
-        (shirt(places * (1, 1, side[0, 2]), side, dressed.landmarks) == RED).all(1).mean()
+        (shirt(places * (1, 1, side[0, 2]), side, clothed.landmarks) == RED).all(1).mean()
         for side in (front, back)
     ]
     assert red[0] == 0

@@ -2,8 +2,9 @@ import shutil
 
 import pytest
 
-from deblur_avatar.avatar.smpl_files import read_smpl
-from deblur_avatar.config import ClipParams, parse
+from deblur_avatar.bodies.smpl import read_smpl
+from deblur_avatar.config.reading import parse
+from deblur_avatar.pipeline.clip import ClipParams
 from tests.zju_sequence import SHAPES, write_sequence
 
 PARAMS = {

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from deblur_avatar.avatar.body import posed_vertices
-from deblur_avatar.avatar.smpl_files import read_smpl
+from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.bodies.smpl import read_smpl
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.sources.zju_mocap.poses import read_poses
 

@@ -7,10 +7,10 @@ import pytest
 import torch
 from PIL import Image
 
-from deblur_avatar.avatar.body import posed_vertices
+from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.imaging.mesh_rendering import View, cast_rays
 from deblur_avatar.imaging.resampling import undistort
+from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 from deblur_avatar.sources.zju_mocap.source import load_zju_mocap
 from tests.zju_sequence import CAMERAS, SIZE
 

@@ -1,0 +1,1 @@
+"""Stress suite: small scenes with known truth, ways to fail, rules."""

@@ -1,0 +1,104 @@
+"""One whole fit of the suite: warm-up, trajectory and fusion in memory, with nothing saved."""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+
+from deblur_avatar import run
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.pipeline.parameters import MethodParams
+from deblur_avatar.pipeline.trajectory import fit_trajectory
+from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.schedule import ScheduleParams
+
+NEEDLE = 1e-12  # metres
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit leaves, how long the shutter was open (where that was estimated), and its time."""
+
+    avatar: Avatar
+    motion: Motion
+    shutter: float | None  # seconds; `fusion` takes it as settled and tells it no more
+    shutter_std: float | None  # seconds
+    seconds: float
+
+
+@dataclass(frozen=True)
+class FitSetup:
+    """What all fits of one method share.
+
+    `start` is what the avatar is made of, `method` what follows the warm-up; `validation_stride` is
+    as `preprocess` wants it; damage and fits draw from `seed`, alike for every method.
+    """
+
+    start: StartParams
+    method: MethodParams
+    schedule: ScheduleParams
+    validation_stride: int
+    seed: int
+    device: torch.device
+
+
+def fit_method(
+    observations: Observations, setup: FitSetup, *, draw: int = 0, needles: float = 0.0
+) -> Fitted:
+    """Fit as the three stages do; every fit of the suite draws alike, so that they compare.
+
+    Args:
+        observations: blurred, or sharp with exact poses.
+        setup: how and where.
+        draw: number of the fit, of several that differ in their draws only.
+        needles: share of the Gaussians that become infinitely thin after the warm-up.
+
+    Raises:
+        ConfigError, ArtifactError: as the stages do.
+    """
+    start, method, schedule, device = setup.start, setup.method, setup.schedule, setup.device
+    drawn = run.derive_seed(setup.seed + draw, "stability")
+    torch.manual_seed(drawn)  # third parties draw from it
+    generator = torch.Generator(device=device).manual_seed(drawn)
+    begin = time.perf_counter()
+    avatar, checkpoint, _ = warm_up(
+        observations, start, schedule, device=device, generator=generator, report=_silence
+    )
+    if needles > 0:
+        avatar = _with_needles(avatar, needles)
+    avatar, motion, checkpoint, cost = fit_trajectory(
+        observations, avatar, checkpoint, start, method.trajectory, schedule,
+        device=device, generator=generator, report=_silence,
+    )  # fmt: skip
+    shutter, std = motion.shutter, cost.get("shutter_std_s")
+    avatar, motion, _ = fuse(
+        observations, avatar, motion, checkpoint, start, method.fusion, schedule,
+        device=device, generator=generator, report=_silence,
+    )  # fmt: skip
+    return Fitted(avatar, motion, shutter, std, time.perf_counter() - begin)
+
+
+def lengthened(schedule: ScheduleParams, times: float) -> ScheduleParams:
+    """The same schedule with so many times its iterations."""
+    ends = {
+        name: round(times * getattr(schedule, name)) for name in ("warmup", "trajectory", "fusion")
+    }
+    return schedule.model_copy(update=ends)
+
+
+def _with_needles(avatar: Avatar, share: float) -> Avatar:
+    log_scales = avatar.log_scales.clone()
+    count = round(share * len(log_scales))
+    log_scales[:count, 0] = math.log(NEEDLE)
+    log_scales[count : 2 * count] = math.log(NEEDLE)
+    return replace(avatar, log_scales=log_scales)
+
+
+def _silence(iteration: int, losses: Mapping[str, float]) -> None:
+    pass

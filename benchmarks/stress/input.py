@@ -1,0 +1,53 @@
+"""From a clip of the suite to what fitting sees: blurred, damaged as asked for, preprocessed."""
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from benchmarks.stress.damage import DAMAGES, averaged_light
+from deblur_avatar import run
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.body_estimation.landmarks import Landmarks
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.pipeline.blur import BlurParams, blur
+from deblur_avatar.pipeline.preprocess import Preprocessed, PreprocessParams, preprocess
+from deblur_avatar.sources.studio.source import SUBFRAMES
+
+
+def prepare(
+    clip: Clip,
+    body: Body,
+    damage: Mapping[str, float],
+    image_height: int,
+    validation_stride: int,
+    seed: int,
+) -> Preprocessed:
+    """Run `blur` and `preprocess`, with the damage done in between.
+
+    Raises:
+        ConfigError, ArtifactError: as the stages do for what they refuse.
+    """
+    assert clip.true_blur_exposure is not None  # the studio knows it
+    fps = 1 / float(clip.timestamps.diff().mean())
+    window = round(clip.true_blur_exposure * SUBFRAMES * fps)
+    params = BlurParams(
+        frames="true", factor=SUBFRAMES, window=window, light=averaged_light(damage)
+    )
+    blurry, _ = blur(clip, params)
+    generator = torch.Generator().manual_seed(run.derive_seed(seed, "damage"))
+    for name, amount in damage.items():
+        if name not in DAMAGES:
+            raise ConfigError(f"no damage {name!r}; known: {', '.join(DAMAGES)}")
+        blurry = DAMAGES[name](blurry, amount, generator)
+    given = PreprocessParams(
+        poses="given", masks="given", background="none", depth="unknown", margin=0.1,
+        validation_stride=validation_stride,
+    )  # fmt: skip
+    return preprocess(blurry, body, given, image_height=image_height, detect=_nobody)
+
+
+def _nobody(frames: UInt8[Tensor, "F H W 3"]) -> Landmarks:
+    raise ConfigError("the stability suite brings poses and masks; nothing is to be detected")

@@ -1,0 +1,222 @@
+"""What the stability suite measures of a fit: the evaluation's numbers and a few of its own.
+
+Conventions. The score is PSNR over the surface that the training camera saw, novel views, dB. Crops
+are discs around joints of the true pose; silhouettes are where coverage exceeds one half.
+"""
+
+import dataclasses
+import hashlib
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from benchmarks.stress.fit import Fitted
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.model import AvatarModel, joint_rotations, render_avatar
+from deblur_avatar.evaluation.comparisons import Comparison
+from deblur_avatar.evaluation.motion_errors import joint_positions
+from deblur_avatar.geometry.cameras import project
+from deblur_avatar.imaging import metrics
+from deblur_avatar.pipeline.evaluate import evaluate
+
+LIMBS = ("elbow", "wrist", "hand", "knee", "ankle", "foot")
+TORSO = ("pelvis", "spine1", "spine2", "spine3", "neck")
+RADIUS = 0.1  # metres around a joint
+HALF = 0.5  # of full coverage
+
+Picture = UInt8[np.ndarray, "_ _ 3"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Numbers, and the test view that came out worst: blurred frame, render, truth."""
+
+    numbers: dict[str, Any]
+    pictures: tuple[Picture, Picture, Picture]
+
+
+def measure(
+    observations: Observations, reference: Reference, fitted: Fitted, device: torch.device
+) -> Measured:
+    """Compare a fit with the truth.
+
+    Args:
+        observations: the blurred ones, damaged as fitting saw them.
+        reference: the truth, undamaged.
+        fitted: avatar and motion.
+        device: to draw on.
+    """
+    avatar, motion = fitted.avatar, fitted.motion
+    evaluation = evaluate(observations, reference, avatar, motion, device)
+    shown = [c for c in evaluation.comparisons if not c.view.novel_pose]
+    content = evaluation.metrics
+    novel = content["novel_pose"] or {}
+    crops = _crop_scores(observations, reference, shown)
+    numbers = {
+        "score": content["image"]["psnr_seen"],
+        "psnr": content["image"]["psnr"],
+        "flip_seen": content["image"]["flip_seen"],
+        "psnr_novel_pose": novel.get("psnr"),
+        "score_novel_pose": novel.get("psnr_seen"),
+        **crops,
+        "area_error": _area_error(observations, shown, fitted, device),
+        **content["motion"],
+        "initial_joint_error_mm": content["initial"]["joint_error_mm"],
+        "reblur_psnr": content["reblur"]["psnr_train"],
+        "virtual_poses": content["model"]["virtual_poses_mean"],
+        "gaussians": content["model"]["gaussians"],
+        "mean_scale_mm": 1e3 * float(avatar.log_scales.exp().mean()),
+        "stretch": _stretch(observations, reference, avatar, device),
+        "knots": len(motion.parameters["axis_angle"]) if motion.kind == "clip" else None,
+        "shutter_s": fitted.shutter,
+        "shutter_std_s": fitted.shutter_std,
+        "given_exposure_s": observations.exposure,
+        "hidden": observations.hidden,
+        "finite": math.isfinite(content["image"]["psnr"]),
+        "seconds": fitted.seconds,
+        "digest": _digest(avatar),
+    }
+    return Measured(numbers, _worst(observations, shown))
+
+
+def mean_of_draws(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The means of what several draws of one fit measured; what is no number is the first's.
+
+    `scores` keeps every draw's score; a number that one draw could not measure is None.
+    """
+    row = dict(draws[0])
+    for key, value in row.items():
+        values = [draw[key] for draw in draws]
+        if isinstance(value, bool):
+            row[key] = all(values)
+        elif any(v is None for v in values):
+            row[key] = None
+        elif isinstance(value, int | float) and len(draws) > 1:
+            row[key] = statistics.fmean(values)
+    return row | {"scores": [draw["score"] for draw in draws]}
+
+
+def _crop_scores(
+    observations: Observations, reference: Reference, shown: Sequence[Comparison]
+) -> dict[str, float | None]:
+    """PSNR around the joints of the limbs and of the torso, means over views."""
+    assert reference.motion is not None
+    assert reference.motion_times is not None
+    scores: dict[str, list[float]] = {"limbs": [], "torso": []}
+    for comparison in shown:
+        view = comparison.view
+        time = observations.timestamps[view.position]
+        nearest = int((reference.motion_times - time).abs().argmin())
+        joints = joint_positions(observations.body, reference.motion.at([nearest]))[0]
+        for name, ends in (("limbs", LIMBS), ("torso", TORSO)):
+            chosen = [i for i, joint in enumerate(SMPL_JOINT_NAMES) if joint.endswith(ends)]
+            mask = _discs(observations, view.camera, joints[chosen]) & view.seen
+            if mask.any():
+                render, truth = comparison.render[None] / 255, view.image[None] / 255
+                scores[name].append(float(metrics.psnr(render, truth, mask[None])))
+    return {f"psnr_{n}": sum(s) / len(s) if s else None for n, s in scores.items()}
+
+
+def _discs(
+    observations: Observations, camera: int, joints: Float[Tensor, "J 3"]
+) -> Bool[Tensor, "H W"]:
+    cameras = observations.cameras
+    pixels, depths = project(joints, cameras.Ks[camera], cameras.viewmats[camera])
+    width, height = cameras.sizes[camera].tolist()
+    rows, columns = torch.arange(height) + 0.5, torch.arange(width) + 0.5
+    across = columns[None, None, :] - pixels[:, 0, None, None]
+    down = rows[None, :, None] - pixels[:, 1, None, None]
+    radius = RADIUS * cameras.Ks[camera, 0, 0] / depths
+    return (across.square() + down.square() < radius.square()[:, None, None]).any(0)
+
+
+def _area_error(
+    observations: Observations,
+    shown: Sequence[Comparison],
+    fitted: Fitted,
+    device: torch.device,
+) -> float:
+    """By which share drawn silhouettes are larger than true ones, over all test views."""
+    model = AvatarModel.from_artifact(fitted.avatar, observations.body, device)
+    drawn, true = 0.0, 0.0
+    for comparison in shown:
+        view = comparison.view
+        width, height = observations.cameras.sizes[view.camera].tolist()
+        _, alpha = render_avatar(
+            model,
+            fitted.motion.centre.at([view.position]),
+            observations.cameras.Ks[view.camera].to(device),
+            observations.cameras.viewmats[view.camera].to(device),
+            width,
+            height,
+        )
+        drawn += float((alpha > HALF).sum())
+        true += float(view.foreground.sum())
+    return drawn / max(true, 1.0) - 1
+
+
+def _stretch(
+    observations: Observations, reference: Reference, avatar: Avatar, device: torch.device
+) -> float | None:
+    """The most that a Gaussian grows from training poses to those kept from training.
+
+    Its longest axis in the worst held-out pose over its longest in any training pose.
+    """
+    held_out = sorted(set(reference.frame_indices[reference.novel_pose == 1].tolist()))
+    times = [
+        observations.timestamps[observations.frame_indices.index(frame)]
+        for frame in held_out
+        if frame in observations.frame_indices
+    ]
+    if not times or reference.motion is None or reference.motion_times is None:
+        return None
+    nearest = [int((reference.motion_times - time).abs().argmin()) for time in times]
+    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    trained = _longest(model, observations.poses.at(list(observations.train)))
+    posed = _longest(model, reference.motion.at(nearest))
+    return float((posed / trained.clamp(min=1e-9)).max())
+
+
+def _longest(model: AvatarModel, poses: Poses) -> Float[Tensor, " N"]:
+    """Each Gaussian's longest axis over some poses, metres."""
+    rotations = joint_rotations(poses).to(model.betas)
+    with torch.no_grad():
+        transforms = model.transforms(rotations, poses.transl.to(model.betas))
+        lengths = []
+        for index in range(len(rotations)):
+            _, covars = model.condition(rotations[index], 0).posed(transforms[index : index + 1])
+            xx, xy, xz, yy, yz, zz = covars[0].unbind(-1)
+            rows = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+            full = torch.stack(rows, -1).unflatten(-1, (3, 3))
+            lengths.append(torch.linalg.eigvalsh(full)[:, -1].clamp(min=0).sqrt())
+    return torch.stack(lengths).amax(0)
+
+
+def _worst(
+    observations: Observations, shown: Sequence[Comparison]
+) -> tuple[Picture, Picture, Picture]:
+    """Of the views that show mostly what the training camera saw, the one drawn worst."""
+    views = [c for c in shown if 2 * c.view.seen.sum() >= c.view.foreground.sum() > 0] or shown
+    worst = min(views, key=lambda comparison: comparison.scores["psnr_foreground"])
+    blurred = observations.frames[worst.view.position]
+    return blurred.numpy(), worst.render.numpy(), worst.view.image.numpy()
+
+
+def _digest(avatar: Avatar) -> str:
+    """Equal for equal avatars, bit by bit."""
+    fields = [field.name for field in dataclasses.fields(avatar)]
+    tensors = [v for name in fields if isinstance(v := getattr(avatar, name), Tensor)]
+    tensors += [avatar.networks[name] for name in sorted(avatar.networks)]
+    content = b"".join(tensor.contiguous().numpy().tobytes() for tensor in tensors)
+    return hashlib.sha256(content).hexdigest()[:16]

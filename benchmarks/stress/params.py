@@ -1,0 +1,44 @@
+"""What `stability/params.yaml` says, typed and strict.
+
+Defaults live there; the sections that it lacks are the root's.
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from deblur_avatar.config.section import NonNegative, Params
+from deblur_avatar.sources.studio.params import StudioParams
+
+
+class StabilitySceneParams(Params):
+    """One small scene of the suite.
+
+    `clip.motion` names a motion of `stability_motions`. `cloth_m` is how far the clothes below the
+    waist swing to either side, which no joint of the body explains.
+    """
+
+    clip: StudioParams
+    cloth_m: NonNegative
+
+
+class SeverityParams(Params):
+    """How bad one failure is: which scene, what is done to it, and how fitting is disturbed.
+
+    `damage` names functions of `stability_damage` with their amounts, applied in order. `fit` may
+    hold `budget` (times the schedule), `seed` (another draw), `draws` (how many, from that one on,
+    are averaged), `oracle` (a method without a model of blur is fitted to the sharp frames, too),
+    `estimated_shutter`, `exposure_gain`, `start_noise` (radians, instead of the method's) and
+    `needles` (share of the Gaussians).
+    """
+
+    scene: str
+    damage: dict[str, float]
+    fit: dict[str, float]
+
+
+class ModeParams(Params):
+    """One way to fail; severities from mild to bad."""
+
+    title: str
+    severities: Annotated[dict[str, SeverityParams], Field(min_length=1)]

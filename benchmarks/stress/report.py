@@ -1,0 +1,274 @@
+"""Which ways to fail each method survives: rules applied to what was measured, on one page.
+
+Measuring and judging are apart, so that a changed rule costs seconds. A mode is passed if every
+severity is; a severity that does not apply to a method counts for nothing.
+"""
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+
+from benchmarks.stress.params import ModeParams, SeverityParams
+from benchmarks.stress.rules import (
+    AGNOSTIC,
+    Case,
+    Check,
+    judge,
+)
+from benchmarks.stress.suite import PICTURES
+from deblur_avatar import run
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.contact_sheets import contact_sheet
+from deblur_avatar.imaging.picture_files import read_picture
+from deblur_avatar.reporting.picture_strips import (
+    Picture,
+    person_box,
+    picture_uri,
+)
+
+TEMPLATE = "stability_report.html.jinja"
+CLEAN = ("seeds", "seed 0")  # the mode and severity in which nothing is wrong
+DARKEST, BRIGHTEST = 8.0, 19.0  # dB between which the heat map's colours run
+ENLARGED = 2  # times, of the worst pictures
+
+Rows = Mapping[str, Mapping[str, Mapping[str, Mapping[str, Any]]]]  # mode, method, severity
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How one method did in one mode."""
+
+    passed: bool
+    sentence: str
+    severities: dict[str, dict[str, Any]]  # score, draws, passed (None: does not apply), checks
+
+
+@dataclass(frozen=True)
+class StabilityReport:
+    """All verdicts, the page, and the numbers for other programs."""
+
+    page: str
+    summary: dict[str, Any]
+    metrics: dict[str, dict[str, Any]]  # by "<mode>-<method>"
+
+    def save(self, reports: Path, metrics: Path) -> None:
+        """Write `index.html` and `stability.json`, and one file a mode and method."""
+        run.write_text(reports / "index.html", self.page)
+        run.write_json(reports / "stability.json", self.summary)
+        for name, content in self.metrics.items():
+            run.write_json(metrics / f"{name}.json", content)
+
+
+def report_stability(modes: Mapping[str, ModeParams], items: Path, scenes: Path) -> StabilityReport:
+    """Judge every mode and method that was measured.
+
+    Args:
+        modes: of the suite.
+        items: where `<mode>-<method>/measured.json` are.
+        scenes: where `<scene>/ceiling.json` are.
+
+    Raises:
+        ArtifactError: if nothing was measured, or not what the rules compare with.
+    """
+    rows, methods = _read(modes, items)
+    names = {s.scene for mode in rows for s in modes[mode].severities.values()}
+    ceilings = {name: run.read_json(scenes / name / "ceiling.json") for name in sorted(names)}
+    verdicts = {
+        mode: {method: _verdict(mode, modes[mode], method, rows, ceilings) for method in rows[mode]}
+        for mode in rows
+    }
+    summary = _summary(modes, verdicts, rows, methods)
+    metrics = {
+        f"{mode}-{method}": {"mode": mode, "method": method, **vars(verdict)}
+        for mode, of_methods in verdicts.items()
+        for method, verdict in of_methods.items()
+    }
+    page = _page(modes, verdicts, summary, methods, ceilings, items)
+    return StabilityReport(page, summary, metrics)
+
+
+def _read(modes: Mapping[str, ModeParams], items: Path) -> tuple[Rows, list[str]]:
+    """What there is of each mode, `agnostic` first; modes without it cannot be judged."""
+    rows: dict[str, dict[str, Any]] = {}
+    for mode in modes:
+        folders = sorted(items.glob(f"{mode}-*/measured.json"))
+        found = {path.parent.name.removeprefix(f"{mode}-"): run.read_json(path) for path in folders}
+        if AGNOSTIC in found:
+            rows[mode] = found
+    if CLEAN[0] not in rows:
+        raise ArtifactError(
+            f"no {CLEAN[0]}-{AGNOSTIC} in {items}, which rules compare with; "
+            "run `dvc repro stability/dvc.yaml`"
+        )
+    known = {method for found in rows.values() for method in found}
+    return rows, [AGNOSTIC, *sorted(known - {AGNOSTIC}, reverse=True)]
+
+
+def _verdict(
+    mode: str,
+    params: ModeParams,
+    method: str,
+    rows: Rows,
+    ceilings: Mapping[str, Mapping[str, Any]],
+) -> Verdict:
+    clean = rows[CLEAN[0]].get(method, {}).get(CLEAN[1], {})
+    of_severities: dict[str, dict[str, Any]] = {}
+    before: list[Mapping[str, Any]] = []
+    for label, severity in params.severities.items():
+        row = rows[mode][method].get(label)
+        if row is None:
+            raise ArtifactError(f"{mode}-{method} lacks {label!r}; run `dvc repro`")
+        if "skipped" in row:
+            of_severities[label] = {"score": None, "passed": None, "checks": [row["skipped"]]}
+            continue
+        agnostic = rows[mode][AGNOSTIC].get(label, {})
+        case = Case(method, severity, row, agnostic, ceilings[severity.scene], clean, tuple(before))
+        of_severities[label] = _judged(judge(mode, case), case, severity)
+        before.append(row)
+    return _concluded(of_severities)
+
+
+def _judged(checks: Sequence[Check], case: Case, severity: SeverityParams) -> dict[str, Any]:
+    passed = all(check.passed for check in checks)
+    return {
+        "score": case.score,
+        "passed": passed,
+        "agnostic": case.agnostic.get("score"),
+        "ceiling": case.ceiling["score"],
+        "draws": case.row.get("scores", []),
+        "refused": case.row.get("refused"),
+        "failed": [check.sentence for check in checks if not check.passed],
+        "checks": [vars(check) | {"passed": check.passed} for check in checks],
+    }
+
+
+def _concluded(severities: dict[str, dict[str, Any]]) -> Verdict:
+    """The mode as a whole, in one sentence."""
+    failed = {label: entry for label, entry in severities.items() if entry["passed"] is False}
+    if not failed:
+        return Verdict(True, "Passes at every severity.", severities)
+    told = "; ".join(f"at {label}, {entry['failed'][0]}" for label, entry in failed.items())
+    return Verdict(False, f"Fails {told}.", severities)
+
+
+def _summary(
+    modes: Mapping[str, ModeParams],
+    verdicts: Mapping[str, Mapping[str, Verdict]],
+    rows: Rows,
+    methods: Sequence[str],
+) -> dict[str, Any]:
+    passed = {
+        method: sum(of[method].passed for of in verdicts.values() if method in of)
+        for method in methods
+    }
+    lost = {
+        method: [m for m, of in verdicts.items()
+                 if method in of and of[AGNOSTIC].passed and not of[method].passed]
+        for method in methods
+    }  # fmt: skip
+    return {
+        "modes": len(verdicts),
+        "passed": passed,
+        "failed_though_blind_passes": lost,
+        "spread_over_seeds_db": {
+            method: _spread(rows[CLEAN[0]].get(method, {})) for method in methods
+        },
+        "verdicts": {
+            mode: {
+                "title": modes[mode].title,
+                **{method: vars(verdict) for method, verdict in of.items()},
+            }
+            for mode, of in verdicts.items()
+        },
+    }
+
+
+def _spread(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
+    """Mean and standard deviation of the clean scene's score over seeds."""
+    drawn = {row["digest"]: row["score"] for row in rows.values() if row.get("digest")}
+    scores = list(drawn.values())
+    return {
+        "mean": statistics.mean(scores) if scores else None,
+        "deviation": statistics.stdev(scores) if len(scores) > 1 else None,
+        "seeds": float(len(scores)),
+    }
+
+
+def _page(
+    modes: Mapping[str, ModeParams],
+    verdicts: Mapping[str, Mapping[str, Verdict]],
+    summary: Mapping[str, Any],
+    methods: Sequence[str],
+    ceilings: Mapping[str, Mapping[str, Any]],
+    items: Path,
+) -> str:
+    shown = [
+        {
+            "name": mode,
+            "title": modes[mode].title,
+            "of": of,
+            "rows": [
+                {
+                    "label": label,
+                    "cells": [_cell(of[method].severities[label]) if method in of else None
+                              for method in methods],
+                    "ceiling": ceilings[severity.scene]["score"],
+                }
+                for label, severity in modes[mode].severities.items()
+            ],
+            "picture": _picture(mode, [m for m in methods if m in of], items),
+        }
+        for mode, of in verdicts.items()
+    ]  # fmt: skip
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text())
+    return template.render(modes=shown, summary=summary, methods=methods) + "\n"
+
+
+def _cell(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A field of the heat map: green or red, the darker the lower the score."""
+    passed, score = entry["passed"], entry["score"]
+    if passed is None:
+        return {"text": "\u2013", "colour": "#eeeeee", "hint": entry["checks"][0]}
+    share = 0.0 if score is None else (score - DARKEST) / (BRIGHTEST - DARKEST)
+    lightness = 62 + 26 * min(max(share, 0.0), 1.0)
+    text = f"{score:.2f}" if score is not None else "refused" if entry["refused"] else "crashed"
+    hint = "; ".join(Check(**{k: c[k] for k in ("what", "value", "least", "most")}).sentence
+                     for c in entry["checks"])  # fmt: skip
+    if entry["refused"]:
+        hint = f"{entry['refused']}; {hint}"
+    if len(entry["draws"]) > 1:
+        deviation = statistics.stdev(entry["draws"])
+        hint = f"mean of {len(entry['draws'])} draws, \u00b1 {deviation:.2f}; {hint}"
+    hue = 120 if passed else 4
+    mark = "" if passed else " \u2717"
+    return {"text": text + mark, "colour": f"hsl({hue}, 55%, {lightness:.0f}%)", "hint": hint}
+
+
+def _picture(mode: str, methods: Sequence[str], items: Path) -> str | None:
+    """The worst view of each method, a row each: blurred, drawn, true."""
+    rows = [m for m in methods if all((items / f"{mode}-{m}" / f"{n}.png").is_file()
+                                      for n in PICTURES)]  # fmt: skip
+    if not rows:
+        return None
+    images = [
+        [read_picture(items / f"{mode}-{method}" / f"{name}.png") for name in PICTURES]
+        for method in rows
+    ]
+    left, top, right, bottom = person_box([picture for row in images for picture in row])
+    cut = [_enlarged(p[top:bottom, left:right]) for row in images for p in row]
+    labels = [label for method in rows for label in ("what was filmed", method, "truth")]
+    return picture_uri(contact_sheet(cut, len(PICTURES), labels))
+
+
+def _enlarged(picture: Picture) -> Picture:
+    larger = cv2.resize(picture, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
+    return np.asarray(larger, np.uint8)

@@ -1,0 +1,37 @@
+"""Stage `stability_scene`: one small scene of the stability suite, and what its ceiling is."""
+
+from pathlib import Path
+
+from benchmarks.stress.fit import FitSetup
+from benchmarks.stress.params import StabilitySceneParams
+from benchmarks.stress.scene import film_scene, measure_ceiling
+from deblur_avatar import run
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.pipeline.parameters import MethodParams
+from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.schedule import ScheduleParams
+
+
+def main(scene: str, out: Path, params_file: Path) -> None:
+    """Write `<out>/clip`, the truth `<out>/reference` and `<out>/ceiling.json`."""
+    params = load_params(params_file, f"scenes.{scene}", StabilitySceneParams)
+    seed = load_params(params_file, "seed", int)
+    with run.stage("stability_scene", scene, seed) as context:
+        body, clip, reference = film_scene(params, context.generator)
+        setup = FitSetup(
+            load_params(params_file, "starts.lean", StartParams),
+            load_params(params_file, "methods.ceiling", MethodParams),
+            load_params(params_file, "schedules.suite", ScheduleParams),
+            load_params(params_file, "validation_stride", int),
+            seed,
+            context.device,
+        )
+        draws = load_params(params_file, "ceiling_draws", int)
+        ceiling = measure_ceiling(clip, reference, body, setup, draws)
+        clip.save(out / "clip")
+        reference.save(out / "reference")
+        run.write_json(out / "ceiling.json", ceiling)
+
+
+if __name__ == "__main__":
+    run.command(main)

@@ -1,0 +1,188 @@
+"""How one method takes one way to fail: damaged, fitted, measured at every severity.
+
+Whether that is good enough is not decided here: a rule may compare methods, so the stage
+`stability_report` judges. What the pipeline refuses with its own errors and what falls over
+otherwise are told apart.
+"""
+
+import logging
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from benchmarks.stress.fit import (
+    FitSetup,
+    fit_method,
+    lengthened,
+)
+from benchmarks.stress.input import prepare
+from benchmarks.stress.measures import (
+    Measured,
+    mean_of_draws,
+    measure,
+)
+from benchmarks.stress.params import ModeParams, SeverityParams
+from deblur_avatar import run
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.bodies.capsule import capsule_body
+from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.imaging.picture_files import write_picture
+from deblur_avatar.pipeline.check import check_scene
+
+logger = logging.getLogger(__name__)
+
+FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "exposure_gain",
+            "start_noise", "needles")  # fmt: skip
+PICTURES = ("blurred", "render", "truth")
+
+Film = Callable[[str], tuple[Clip, Reference]]
+
+
+@dataclass(frozen=True)
+class Item:
+    """A method's rows in one mode, one a severity, and its worst picture if it drew any."""
+
+    rows: dict[str, dict[str, Any]]
+    worst: Measured | None
+
+    def save(self, folder: Path) -> None:
+        """Write `measured.json` and the pictures of the worst view."""
+        run.write_json(folder / "measured.json", self.rows)
+        if self.worst is not None:
+            for name, picture in zip(PICTURES, self.worst.pictures, strict=True):
+                write_picture(folder / f"{name}.png", picture)
+
+
+def film_of(folder: Path) -> Film:
+    """Reads the scenes that `stability_scene` wrote."""
+    return lambda name: (
+        Clip.load(folder / name / "clip"),
+        Reference.load(folder / name / "reference"),
+    )
+
+
+def run_mode(mode: ModeParams, setup: FitSetup, film: Film) -> Item:
+    """Go through all severities of a mode; `film` gives the clip and the truth of a scene by name.
+
+    Raises:
+        ConfigError: if a severity asks for something that there is not.
+    """
+    rows: dict[str, dict[str, Any]] = {}
+    worst: Measured | None = None
+    for label, severity in mode.severities.items():
+        _check(label, severity)
+        if "estimated_shutter" in severity.fit and setup.method.trajectory.motion != "clip":
+            rows[label] = {"skipped": "this method has no shutter to estimate"}
+            continue
+        row, measured = _attempt(severity, setup, film)
+        rows[label] = {"scene": severity.scene, **row}
+        logger.info("%s: %s", label, _shown(row))
+        if measured is not None and (
+            worst is None or measured.numbers["score"] < worst.numbers["score"]
+        ):
+            worst = measured
+    return Item(rows, worst)
+
+
+def _check(label: str, severity: SeverityParams) -> None:
+    unknown = sorted(set(severity.fit) - set(FIT_KEYS))
+    if unknown:
+        raise ConfigError(f"severity {label!r}: fit has no {unknown}, it has {', '.join(FIT_KEYS)}")
+
+
+def _attempt(
+    severity: SeverityParams, setup: FitSetup, film: Film
+) -> tuple[dict[str, Any], Measured | None]:
+    """One severity: what was measured, and its worst draw, or how it ended instead."""
+    clip, reference = film(severity.scene)
+    row: dict[str, Any] = {"refused": None, "crashed": None, "flags": []}
+    with _warnings() as heard:
+        try:
+            prepared = prepare(
+                clip, capsule_body(), severity.damage, setup.schedule.image_height,
+                setup.validation_stride, setup.seed,
+            )  # fmt: skip
+            row["flags"] = _flags(prepared.blurred, prepared.metrics)
+            drawn = _draws(prepared.blurred, severity, setup, prepared.blurred, reference)
+            if "oracle" in severity.fit and setup.method.trajectory.supervision == "sharp":
+                assert prepared.sharp is not None  # the studio knows all
+                sharp = _draws(prepared.sharp, severity, setup, prepared.blurred, reference)
+                row["oracle"] = mean_of_draws([measured.numbers for measured in sharp])
+        except (ConfigError, ArtifactError) as error:
+            return {**row, "refused": f"{type(error).__name__}: {error}", "warnings": heard}, None
+        except Exception as error:  # a crash is what this suite looks for
+            logger.warning("%s", "".join(traceback.format_exception(error)))
+            return {**row, "crashed": f"{type(error).__name__}: {error}", "warnings": heard}, None
+    told = list(dict.fromkeys(heard))  # each draw says the same again
+    worst = min(drawn, key=lambda measured: measured.numbers["score"])
+    return {**row, **mean_of_draws([m.numbers for m in drawn]), "warnings": told}, worst
+
+
+def _draws(
+    seen: Observations,
+    severity: SeverityParams,
+    setup: FitSetup,
+    blurred: Observations,
+    reference: Reference,
+) -> list[Measured]:
+    """As many fits to what is seen as a severity asks for, each compared with the truth."""
+    chosen, first = _changed(setup, severity.fit), int(severity.fit.get("seed", 0))
+    needles = severity.fit.get("needles", 0.0)
+    fits = (
+        fit_method(seen, chosen, draw=draw, needles=needles)
+        for draw in range(first, first + int(severity.fit.get("draws", 1)))
+    )
+    return [measure(blurred, reference, fitted, setup.device) for fitted in fits]
+
+
+def _changed(setup: FitSetup, fit: Mapping[str, float]) -> FitSetup:
+    """Start, method and schedule as a severity wants them."""
+    start, method = setup.start, setup.method
+    changes: dict[str, Any] = {}
+    if "exposure_gain" in fit:
+        start = start.model_copy(update={"exposure_gain": "frame"})
+    if "estimated_shutter" in fit:
+        changes["shutter"] = "estimated"
+    if "start_noise" in fit:
+        changes["start_noise"] = fit["start_noise"]
+    trajectory = method.trajectory.model_copy(update=changes)
+    return replace(
+        setup,
+        start=start,
+        method=method.model_copy(update={"trajectory": trajectory}),
+        schedule=lengthened(setup.schedule, fit.get("budget", 1.0)),
+    )
+
+
+def _flags(observations: Observations, metrics: Mapping[str, Any]) -> list[str]:
+    """What the scene's check complains of."""
+    findings = check_scene(observations, metrics)["findings"]
+    return [name for name, finding in findings.items() if finding["verdict"] in ("warn", "fail")]
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """What the package warns of meanwhile."""
+    heard: list[str] = []
+
+    class LogCapture(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            heard.append(record.getMessage())
+
+    ear, package = LogCapture(logging.WARNING), logging.getLogger("deblur_avatar")
+    package.addHandler(ear)
+    try:
+        yield heard
+    finally:
+        package.removeHandler(ear)
+
+
+def _shown(row: Mapping[str, Any]) -> str:
+    if row["refused"] or row["crashed"]:
+        return str(row["refused"] or row["crashed"])
+    return f"{row['score']:.2f} dB in {row['seconds']:.1f} s"

@@ -1,0 +1,1 @@
+"""Animation: motion files, retargeting, placement."""

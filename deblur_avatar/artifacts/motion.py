@@ -1,0 +1,37 @@
+"""A fitted trajectory, sampled inside every exposure.
+
+Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B shape numbers,
+P body vertices, T triangles, N Gaussians, S instants inside one exposure.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from jaxtyping import Float32, Int64
+from torch import Tensor
+
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.storage import Artifact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion(Artifact):
+    """How the body moved while the shutter was open, at instants `u` of every exposure.
+
+    `centre` is the pose that a sharp picture of each frame is drawn with; `counts` are how many
+    instants of each exposure fitting took. `parameters` hold the unknowns of the trajectory `kind`
+    so that a later stage can go on.
+    """
+
+    schema: ClassVar[str] = "motion/2"
+
+    kind: str
+    u: Float32[Tensor, " S"]  # in [0, 1], 0 when the shutter opens
+    timestamps: Float32[Tensor, " F"]
+    counts: Int64[Tensor, " F"]
+    shutter: float | None  # seconds it was open, where the motion estimated that
+    global_orient: Float32[Tensor, "F S 3"]
+    body_pose: Float32[Tensor, "F S K 3"]
+    transl: Float32[Tensor, "F S 3"]
+    centre: Poses
+    parameters: dict[str, Tensor]

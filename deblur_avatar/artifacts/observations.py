@@ -1,0 +1,58 @@
+"""Training data: one camera's frames, soft mattes and poses.
+
+Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B shape numbers,
+P body vertices, T triangles, N Gaussians, S instants inside one exposure.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from jaxtyping import Float32, UInt8
+from torch import Tensor
+
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.light import check_light
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.storage import Artifact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observations(Artifact):
+    """All that fitting sees: one camera's frames, soft mattes and poses. Made by `preprocess`.
+
+    Frames are undistorted, cropped to the person and scaled: crop `crops[c]` (x, y, width, height
+    in pixels of the clip) of camera c was scaled to `cameras.sizes[c]`. All frames of the clip are
+    here, so that poses are known throughout; only `train` are fitted and `validation` are set
+    aside.
+    `weights` in [0, 1] say how far a frame's pose is to be trusted; 0 for frames without a person.
+    `depth_known`: the poses tell how far joints are from the camera better than one camera can.
+    `hidden` is the share of the body's surface that the training camera sees in no training frame.
+    """
+
+    schema: ClassVar[str] = "observations/2"
+
+    frames: UInt8[Tensor, "F H W 3"]
+    mattes: UInt8[Tensor, "F H W"]
+    cameras: Cameras  # all cameras of the source, without distortion
+    crops: Float32[Tensor, "C 4"]
+    train_camera: int
+    body: Body
+    poses: Poses  # initial estimates, one a frame
+    weights: Float32[Tensor, " F"]
+    frame_indices: tuple[int, ...]
+    timestamps: Float32[Tensor, " F"]
+    exposure: float | None
+    light: str
+    train: tuple[int, ...]  # positions in this artifact
+    validation: tuple[int, ...]
+    depth_known: bool
+    hidden: float
+
+    def validate(self) -> None:
+        """Refuse an unknown light, an empty training set, frames in two roles."""
+        check_light(self.light)
+        if not self.train:
+            raise ValueError("no training frame; check masks and the blur window")
+        if set(self.train) & set(self.validation):
+            raise ValueError("train and validation must not share frames")

@@ -1,0 +1,33 @@
+"""Body shape and poses (SMPL's betas, global_orient, body_pose, transl)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from deblur_avatar.artifacts.storage import Artifact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poses(Artifact):
+    """One body's shape, and its pose at F instants (SMPL's meaning, axis-angle)."""
+
+    schema: ClassVar[str] = "poses/1"
+
+    betas: Float32[Tensor, " B"]
+    global_orient: Float32[Tensor, "F 3"]
+    body_pose: Float32[Tensor, "F K 3"]  # K = J - 1
+    transl: Float32[Tensor, "F 3"]
+
+    def at(self, frames: slice | Sequence[int] | Tensor) -> "Poses":
+        """Pick some of the instants."""
+        index = frames if isinstance(frames, slice) else torch.as_tensor(frames, dtype=torch.long)
+        return Poses(
+            betas=self.betas,
+            global_orient=self.global_orient[index],
+            body_pose=self.body_pose[index],
+            transl=self.transl[index],
+        )

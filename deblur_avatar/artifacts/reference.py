@@ -1,0 +1,38 @@
+"""Ground truth that evaluation alone may see.
+
+Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B shape numbers,
+P body vertices, T triangles, N Gaussians, S instants inside one exposure.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from jaxtyping import Float32, Int64, UInt8
+from torch import Tensor
+
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.artifacts.storage import Artifact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference(Artifact):
+    """The sharp truth that only `evaluate` may see. Made by `clip`.
+
+    View v shows frame `frame_indices[v]` of the clip from camera `camera_indices[v]`;
+    `novel_pose[v]` is 1 for frames kept from training. `seen` is 255 where the surface point behind
+    the pixel was seen by the training camera in some training frame. `motion` samples the true
+    motion at `motion_times`, densely enough to cover every exposure. A user's own video has no
+    truth: its reference has no views.
+    """
+
+    schema: ClassVar[str] = "reference/1"
+
+    images: UInt8[Tensor, "V H W 3"]
+    mattes: UInt8[Tensor, "V H W"]
+    seen: UInt8[Tensor, "V H W"] | None
+    camera_indices: Int64[Tensor, " V"]
+    frame_indices: Int64[Tensor, " V"]
+    novel_pose: Int64[Tensor, " V"]
+    background: tuple[float, ...]  # sRGB in [0, 1] behind the person
+    motion_times: Float32[Tensor, " M"] | None  # seconds
+    motion: Poses | None  # at motion_times

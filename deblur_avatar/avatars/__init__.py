@@ -1,0 +1,1 @@
+"""Avatars: what is rendered, canonical and posed."""

@@ -1,0 +1,1 @@
+"""Parametric bodies: Anny, SMPL, capsules; posed by linear blend skinning."""

@@ -1,0 +1,1 @@
+"""Body estimation: from landmarks and silhouettes to shape and poses."""

@@ -1,0 +1,387 @@
+"""One shape, and one pose a frame, from what one or several cameras see of a person.
+
+Landmarks in space, triangulated or (one view) lifted, bring the body near; their projections and
+the mattes' outlines then refine it. Motion is a spline over the clip, solved for all frames at
+once. Terms are squared distances in standard deviations; those of pictures saturate, since
+detectors are not noisy but wrong.
+"""
+
+import logging
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from deblur_avatar import run
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import shaped_joints
+from deblur_avatar.body_estimation.body_landmarks import LandmarkMap, landmark_map
+from deblur_avatar.body_estimation.first_guess import first_guess, spline_basis
+from deblur_avatar.body_estimation.landmarks import Landmarks
+from deblur_avatar.body_estimation.monocular_prior import (
+    OneView,
+    apply_monocular_prior,
+    guess_cost,
+    standing_cost,
+)
+from deblur_avatar.body_estimation.pose_limits import PoseLimits, pose_limits
+from deblur_avatar.body_estimation.silhouettes import (
+    Silhouettes,
+    distance_outside,
+    nearest_points,
+    silhouettes,
+)
+from deblur_avatar.body_estimation.triangulation import Triangulated, triangulate
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.cameras import project
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.geometry.skinning import forward_kinematics, skin_points
+
+logger = logging.getLogger(__name__)
+
+# Standard deviations. Those in shares are of the person's height in the picture.
+LANDMARK_M = 0.03
+LANDMARK_SHARE = 0.015
+OUTLINE_SHARE = 0.01
+ACCELERATION = 60.0  # of joints, m/s^2: a kick's
+ANGULAR_ACCELERATION = 300.0  # of joints' rotations, rad/s^2
+SHAPE_TRUST = 1.0  # how many measurements of a frame the expected shape weighs
+BEYOND_LIMIT = 0.1  # radians
+KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
+OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
+SATURATION = 3.0  # standard deviations at which a measurement has half its say
+OUTLINE_WEIGHT = 40.0  # landmarks that one matte counts as
+
+SURFACE_POINTS = 1200
+COARSE_STEPS = 150
+FINE_STEPS = 200
+OUTLINED_FRAMES = 64  # of one view that a step compares with their mattes
+MATCH_EVERY = 25  # steps between two searches for outline points' partners
+RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004}
+
+
+class BodyFit(NamedTuple):
+    """Poses, and how well they explain what was seen."""
+
+    poses: Poses
+    residuals: Float[Tensor, "V F L"]  # pixels, of used landmarks; 0 where not seen
+    extent: float  # the person's median height in the pictures, pixels
+    trust: Float[Tensor, " F"]  # in [0, 1], how far a frame's pose rests on what was seen
+    flags: dict[str, int]  # landmarks found wrong, by kind; of one view alone
+
+
+class _Unknowns(NamedTuple):
+    """What is solved for: D knots' control values of all that moves."""
+
+    betas: Float[Tensor, " B"]
+    turn: Float[Tensor, "D 3"]  # of the whole body about its first guess, so that no angle wraps
+    body_pose: Float[Tensor, "D 3*K"]
+    transl: Float[Tensor, "D 3"]
+    offsets: Float[Tensor, "M 3"]  # of landmarks
+
+
+class _Posed(NamedTuple):
+    """The body that a set of unknowns describes; metres, radians."""
+
+    turn: Float[Tensor, "F 3"]
+    body_pose: Float[Tensor, "F K 3"]
+    transl: Float[Tensor, "F 3"]
+    transforms: Float[Tensor, "F J 4 4"]  # rest to posed
+    joints: Float[Tensor, "F J 3"]
+    landmarks: Float[Tensor, "F L 3"]
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Points spread evenly over the body at rest."""
+
+    points: Float[Tensor, "P 3"]
+    shape_dirs: Float[Tensor, "P 3 B"]
+    lbs_weights: Float[Tensor, "P J"]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What does not change while the body is fitted."""
+
+    body: Body
+    surface: _Surface
+    marks: LandmarkMap
+    limits: PoseLimits
+    Ks: Float[Tensor, "V 3 3"]
+    viewmats: Float[Tensor, "V 4 4"]
+    pixels: Float[Tensor, "V F L 2"]
+    confidences: Float[Tensor, "V F L"]
+    found: Triangulated
+    one: OneView | None
+    outlines: Silhouettes
+    orient: Float[Tensor, "F 3 3"]  # first guess
+    basis: Float[Tensor, "F D"]  # frames from control values
+    interval: float  # seconds between frames
+    extent: float
+
+
+@run.one_thread()
+def fit_body(
+    body: Body,
+    cameras: Cameras,
+    recorded: tuple[int, ...],
+    people: list[Landmarks],
+    timestamps: Float[Tensor, " F"],
+) -> BodyFit:
+    """Fit a body to what detectors found in several cameras' frames.
+
+    Args:
+        body: with SMPL's 24 joints.
+        cameras: without distortion.
+        recorded: the camera of each entry of `people`.
+        people: landmarks and mattes in the pixels of those cameras.
+        timestamps: of the frames, seconds.
+
+    Raises:
+        ArtifactError: if no frame shows a person, or no two of several cameras agree on her.
+    """
+    if body.joint_names != SMPL_JOINT_NAMES:
+        raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
+    if not any(bool(person.found.any()) for person in people):
+        raise ArtifactError("no person found in any frame; check the videos")
+    marks = landmark_map()
+    rows, chosen = list(marks.rows), list(recorded)
+    interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
+    basis = spline_basis(timestamps, interval, KNOT_SECONDS)
+    extent, one = _extent(people), None
+    if len(recorded) == 1:
+        person, one = apply_monocular_prior(
+            body, marks, people[0], cameras, recorded[0], basis, extent, interval
+        )
+        people = [person]
+    pixels = torch.stack([person.points[:, rows] for person in people])
+    confidences = torch.stack(
+        [person.visibility[:, rows] * person.found[:, None] for person in people]
+    )
+    lenses = cameras.Ks[chosen], cameras.viewmats[chosen]
+    if one is None:
+        found = triangulate(pixels, confidences, *lenses, OUTLIER_SHARE * extent)
+        _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
+    else:
+        found = one.found
+    orient, transl = first_guess(body, marks, found, basis)
+    problem = _Problem(
+        body=body,
+        surface=_spread_points(body),
+        marks=marks,
+        limits=pose_limits(),
+        Ks=lenses[0],
+        viewmats=lenses[1],
+        pixels=pixels,
+        confidences=confidences,
+        found=found,
+        one=one,
+        outlines=silhouettes([person.mattes for person in people]),
+        orient=orient,
+        basis=basis,
+        interval=interval,
+        extent=extent,
+    )
+    unknowns = _solve(problem, transl)
+    posed = _pose(problem, unknowns)
+    poses = Poses(
+        betas=unknowns.betas,
+        global_orient=matrix_to_axis_angle(orient @ axis_angle_to_matrix(posed.turn)),
+        body_pose=posed.body_pose,
+        transl=posed.transl,
+    )
+    projected = [project(posed.landmarks, *camera)[0] for camera in zip(*lenses, strict=True)]
+    residuals = (torch.stack(projected) - pixels).norm(dim=-1)
+    seen = torch.stack([person.found for person in people]).any(0).float()
+    return BodyFit(
+        poses=poses,
+        residuals=residuals * (confidences > 0),
+        extent=extent,
+        trust=seen if one is None else one.trust,
+        flags={} if one is None else one.flags,
+    )
+
+
+def _extent(people: list[Landmarks]) -> float:
+    heights = [
+        person.points[person.found][..., 1].amax(1) - person.points[person.found][..., 1].amin(1)
+        for person in people
+    ]
+    return float(torch.cat(heights).median())
+
+
+def _check_agreement(
+    found: Triangulated, confidences: Float[Tensor, "V F L"], names: list[str]
+) -> None:
+    """Refuse views that never agree; warn of one that mostly saw something else."""
+    if not found.found.any():
+        raise ArtifactError("no two cameras agree on where the person is; check the calibration")
+    for name, agreed, seen in zip(names, found.inliers, confidences > 0, strict=True):
+        share = float(agreed.sum() / seen.sum().clamp(min=1))
+        if share < 0.5:
+            logger.warning(
+                "camera %s agrees with the others on %.0f %% of the landmarks; does it follow "
+                "another person, or is it out of time?",
+                name,
+                100 * share,
+            )
+
+
+def _spread_points(body: Body) -> _Surface:
+    """Cut the surface into pieces of equal area; take the middle of the triangle each begins in."""
+    corners = body.vertices[body.faces]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    share = normals.double().norm(dim=-1).cumsum(0)
+    steps = (torch.arange(SURFACE_POINTS) + 0.5) / SURFACE_POINTS
+    faces = body.faces[torch.searchsorted(share / share[-1], steps.double())]
+    return _Surface(
+        points=body.vertices[faces].mean(1),
+        shape_dirs=body.shape_dirs[faces].mean(1),
+        lbs_weights=body.lbs_weights[faces].mean(1),
+    )
+
+
+def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
+    body = problem.body
+    turn, transl = problem.basis @ unknowns.turn, problem.basis @ unknowns.transl
+    body_pose = (problem.basis @ unknowns.body_pose).unflatten(1, (-1, 3))
+    joints = shaped_joints(body, unknowns.betas)
+    orient = problem.orient @ axis_angle_to_matrix(turn)
+    rotations = torch.cat([orient[:, None], axis_angle_to_matrix(body_pose)], dim=1)
+    transforms = forward_kinematics(rotations, joints, transl, body.parents)
+    return _Posed(
+        turn=turn,
+        body_pose=body_pose,
+        transl=transl,
+        transforms=transforms,
+        joints=(transforms[..., :3, :3] @ joints[..., None])[..., 0] + transforms[..., :3, 3],
+        landmarks=problem.marks.positions(transforms, joints, unknowns.offsets),
+    )
+
+
+def _posed_surface(
+    problem: _Problem, betas: Float[Tensor, " B"], posed: _Posed, frames: slice
+) -> Float[Tensor, "E P 3"]:
+    surface = problem.surface
+    points = surface.points + surface.shape_dirs @ betas
+    return skin_points(points, surface.lbs_weights, posed.transforms[frames])
+
+
+def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
+    """First by landmarks in space, then by what the pictures show."""
+    knots, joints = len(transl), len(problem.body.parents)
+    unknowns = _Unknowns(
+        betas=torch.zeros(problem.body.shape_dirs.shape[2], requires_grad=True),
+        turn=torch.zeros(knots, 3, requires_grad=True),
+        body_pose=torch.zeros(knots, 3 * (joints - 1), requires_grad=True),
+        transl=transl.clone().requires_grad_(),
+        offsets=problem.marks.offsets.clone().requires_grad_(),
+    )
+    groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
+    optimiser = torch.optim.Adam(groups)
+    steps = COARSE_STEPS + FINE_STEPS
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    partners: list[Int64[Tensor, "F Q"]] = []
+    # Outlines cost most; of a long clip each step looks at some of the frames.
+    stride = 1 if problem.one is None else -(-len(problem.basis) // OUTLINED_FRAMES)
+    for step in run.progress(range(steps), "body fit"):
+        posed = _pose(problem, unknowns)
+        loss = _priors(problem, unknowns, posed)
+        if problem.one is not None:
+            loss = loss + guess_cost(problem.one, problem.marks, posed.landmarks)
+            loss = loss + standing_cost(problem.one, posed.landmarks, problem.interval)
+        if step < COARSE_STEPS:
+            loss = loss + _landmarks_in_space(problem, posed)
+        else:
+            if (step - COARSE_STEPS) % MATCH_EVERY == 0:
+                with torch.no_grad():
+                    surface = _posed_surface(problem, unknowns.betas, posed, slice(None))
+                partners = _partners(problem, surface)
+            frames = slice(step % stride, None, stride)
+            surface = _posed_surface(problem, unknowns.betas, posed, frames)
+            loss = loss + _landmarks_in_pictures(problem, posed)
+            loss = loss + stride * _outlines(problem, surface, partners, frames)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    return _Unknowns(*[value.detach() for value in unknowns])
+
+
+def _saturating(squared: Tensor) -> Tensor:
+    """Geman and McClure's loss of a squared distance in standard deviations."""
+    return squared / (1 + squared / SATURATION**2)
+
+
+def _landmarks_in_space(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
+    found = problem.found
+    squared = (posed.landmarks - found.points).square().sum(-1) / LANDMARK_M**2
+    trust = (problem.confidences * found.inliers).sum(0)
+    # Grows for ever, unlike the pictures' terms: from the rest pose every hand is an outlier.
+    return (trust * 2 * ((1 + squared).sqrt() - 1)).sum()
+
+
+def _landmarks_in_pictures(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
+    """Landmarks in every view."""
+    total = posed.joints.new_zeros(())
+    for view, camera in enumerate(zip(problem.Ks, problem.viewmats, strict=True)):
+        marks, _ = project(posed.landmarks, *camera)
+        squared = (marks - problem.pixels[view]).square().sum(-1)
+        squared = squared / (LANDMARK_SHARE * problem.extent) ** 2
+        total = total + (problem.confidences[view] * _saturating(squared)).sum()
+    return total
+
+
+def _outlines(
+    problem: _Problem,
+    points: Float[Tensor, "E P 3"],
+    partners: list[Int64[Tensor, "F Q"]],
+    frames: slice,
+) -> Float[Tensor, ""]:
+    """Outlines both ways, in every view, of some frames."""
+    total = points.new_zeros(())
+    outlines, spread = problem.outlines, OUTLINE_SHARE * problem.extent
+    for view, camera in enumerate(zip(problem.Ks, problem.viewmats, strict=True)):
+        surface, _ = project(points, *camera)
+        outside = distance_outside(outlines.outside[view, frames], surface) / spread
+        partner = partners[view][frames, :, None].expand(-1, -1, 2)
+        gap = outlines.outline[view, frames] - surface.gather(1, partner)
+        along = (gap * outlines.normals[view, frames]).sum(-1) / spread
+        both = _saturating(outside.square()).mean(1) + _saturating(along.square()).mean(1)
+        total = total + OUTLINE_WEIGHT * (both * outlines.shown[view, frames]).sum()
+    return total
+
+
+def _partners(problem: _Problem, points: Float[Tensor, "F P 3"]) -> list[Int64[Tensor, "F Q"]]:
+    return [
+        nearest_points(outline, project(points, K, viewmat)[0])
+        for outline, K, viewmat in zip(
+            problem.outlines.outline, problem.Ks, problem.viewmats, strict=True
+        )
+    ]
+
+
+def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tensor, ""]:
+    """What is known of bodies: shapes, smooth motion, limits of joints."""
+    limits, marks = problem.limits, problem.marks
+    pose = posed.body_pose
+    beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
+    relaxed = pose / limits.spread[:, None]
+    offsets = (unknowns.offsets - marks.offsets) / marks.spreads[:, None]
+    step = problem.interval**2
+    acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
+    rotations = torch.cat([posed.turn[:, None], pose], dim=1)
+    angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
+    # Shape and offsets are weighed against as many measurements as there are frames.
+    shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
+    squares = [shape, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
+    return torch.stack([term.square().sum() for term in squares]).sum()
+
+
+def _second_difference(values: Float[Tensor, "F D 3"]) -> Float[Tensor, "G D 3"]:
+    return values[2:] - 2 * values[1:-1] + values[:-2]

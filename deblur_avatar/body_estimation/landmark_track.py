@@ -1,0 +1,176 @@
+"""One person's landmarks over a clip, cleared of what a detector gets wrong under blur.
+
+Three mistakes are looked for: left and right exchanged for some frames (arms and legs apart),
+jumps to a wrong place and back, and losses, where a landmark is hardly seen. Exchanged ones are
+put right. Jumps and losses are flagged, filled in from their neighbours for what needs a value in
+every frame, and given little or no confidence. F frames, L MediaPipe's 33 landmarks; lengths in
+shares of the person's height in the picture, speeds in heights a second.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+
+MIRRORED = (0, 4, 5, 6, 1, 2, 3, *(mark + (1 if mark % 2 else -1) for mark in range(7, COUNT)))
+ARMS, LEGS = tuple(range(11, 23)), tuple(range(23, 33))
+LOST = 0.35  # visibility below which a landmark counts as lost
+SWAP_COST = 0.02  # a frame: exchanging sides must win more than this in smoothness
+FAST = 3.5  # heights a second: faster, and a detection is suspect
+JUMP_COST = 0.15  # what leaving out one detection costs, in excess heights
+GAP = 10  # frames a landmark may be gone before its track starts anew
+
+
+class Flags(NamedTuple):
+    """What was found wrong, by frame and landmark."""
+
+    swapped: Bool[Tensor, "F L"]
+    jumped: Bool[Tensor, "F L"]
+    lost: Bool[Tensor, "F L"]
+
+    def counts(self) -> dict[str, int]:
+        """How many detections of each kind."""
+        return {name: int(flags.sum()) for name, flags in self._asdict().items()}
+
+
+@dataclass(frozen=True)
+class CleanTrack:
+    """A person with flagged landmarks filled in and at no confidence."""
+
+    person: Landmarks
+    flags: Flags
+
+
+def clean(person: Landmarks, interval: float) -> CleanTrack:
+    """Put right and flag the landmarks of a clip.
+
+    Args:
+        person: as detected, no smoothing over time.
+        interval: seconds between frames.
+    """
+    height = _height(person)
+    points = person.points.numpy().astype(np.float64) / height
+    visibility = person.visibility.numpy() * person.found.numpy()[:, None]
+    swapped = np.zeros(visibility.shape, bool)
+    for group in (ARMS, LEGS):
+        swapped[:, list(group)] = _swapped_frames(points, visibility, group)[:, None]
+    points = _exchanged(points, swapped)
+    visibility = _exchanged(visibility[..., None], swapped)[..., 0]
+    lost = visibility < LOST
+    jumped = np.zeros_like(lost)
+    for mark in range(COUNT):
+        jumped[:, mark] = _jumps(points[:, mark], ~lost[:, mark], interval)
+    bad = lost | jumped
+    filled = np.stack([_filled(points[:, m], ~bad[:, m]) for m in range(COUNT)], axis=1)
+    world = person.world
+    if world is not None:
+        exchanged = _exchanged(world.numpy().astype(np.float64), swapped)
+        world = torch.from_numpy(
+            np.stack([_filled(exchanged[:, m], ~bad[:, m]) for m in range(COUNT)], axis=1)
+        ).float()
+    cleaned = replace(
+        person,
+        points=torch.from_numpy(filled * height).float(),
+        visibility=torch.from_numpy(np.where(jumped, 0.0, visibility)).float(),
+        world=world,
+    )
+    flags = Flags(*(torch.from_numpy(array) for array in (swapped, jumped, lost)))
+    return CleanTrack(cleaned, flags)
+
+
+def trust(flags: Flags, rows: tuple[int, ...]) -> Float[Tensor, " F"]:
+    """Share of the landmarks in use that nothing was wrong with, by frame."""
+    bad = flags.jumped | flags.lost
+    return 1 - bad[:, list(rows)].float().mean(1)
+
+
+def _height(person: Landmarks) -> float:
+    rows = person.points[person.found][..., 1]
+    return float((rows.amax(1) - rows.amin(1)).median().clamp(min=1.0)) if len(rows) else 1.0
+
+
+def _exchanged(
+    values: Float[np.ndarray, "F L C"], swapped: Bool[np.ndarray, "F L"]
+) -> Float[np.ndarray, "F L C"]:
+    return np.where(swapped[..., None], values[:, list(MIRRORED)], values)
+
+
+def _swapped_frames(
+    points: Float[np.ndarray, "F L 2"],
+    visibility: Float[np.ndarray, "F L"],
+    group: tuple[int, ...],
+) -> Bool[np.ndarray, " F"]:
+    """Frames to exchange so that the group's way through the picture is shortest (Viterbi)."""
+    chosen = list(group)
+    either = [points[:, chosen], points[:, [MIRRORED[mark] for mark in chosen]]]
+    sure = visibility[:, chosen]
+    cost, back = np.array([0.0, SWAP_COST]), []
+    for frame in range(1, len(points)):
+        weight = np.minimum(sure[frame - 1], sure[frame])
+        step = np.array(
+            [
+                [
+                    (
+                        weight * np.linalg.norm(either[b][frame] - either[a][frame - 1], axis=-1)
+                    ).sum()
+                    for a in (0, 1)
+                ]
+                for b in (0, 1)
+            ]
+        ) / max(weight.sum(), 1e-6)
+        total = cost[None] + step
+        back.append(total.argmin(1))
+        cost = total.min(1) + np.array([0.0, SWAP_COST])
+    states = [int(cost.argmin())]
+    for choice in reversed(back):
+        states.append(int(choice[states[-1]]))
+    return np.array(states[::-1], bool)
+
+
+def _jumps(
+    points: Float[np.ndarray, "F 2"], seen: Bool[np.ndarray, " F"], interval: float
+) -> Bool[np.ndarray, " F"]:
+    """Detections that the cheapest way through the others leaves out.
+
+    A way is a chain of detections; what it goes faster than `FAST` is its excess, and each one left
+    out costs as well, so that a real kick stays and a jump there and back does not.
+    """
+    frames = np.flatnonzero(seen)
+    if len(frames) < 3:
+        return np.zeros(len(points), bool)
+    best = np.zeros(len(frames))
+    before = np.full(len(frames), -1)
+    for here in range(len(frames)):
+        best[here] = JUMP_COST * here  # a chain that starts here leaves out all before
+        low = max(0, here - GAP)
+        earlier = np.arange(low, here)
+        if not len(earlier):
+            continue
+        time = (frames[here] - frames[earlier]) * interval
+        way = np.linalg.norm(points[frames[here]] - points[frames[earlier]], axis=-1)
+        # After a long loss a new track begins, wherever it is.
+        excess = np.where(time > GAP * interval, 0.0, (way - FAST * time).clip(0))
+        cost = best[earlier] + excess + JUMP_COST * (here - earlier - 1)
+        if cost.min() < best[here]:
+            best[here], before[here] = cost.min(), earlier[cost.argmin()]
+    last = int((best + JUMP_COST * np.arange(len(frames) - 1, -1, -1)).argmin())
+    kept = np.zeros(len(points), bool)
+    while last >= 0:
+        kept[frames[last]] = True
+        last = int(before[last])
+    return seen & ~kept
+
+
+def _filled(
+    values: Float[np.ndarray, "F C"], good: Bool[np.ndarray, " F"]
+) -> Float[np.ndarray, "F C"]:
+    """What is not good becomes the straight line between its good neighbours."""
+    if not good.any():
+        return values
+    frames, known = np.arange(len(values)), np.flatnonzero(good)
+    return np.stack([np.interp(frames, known, column[good]) for column in values.T], axis=-1)

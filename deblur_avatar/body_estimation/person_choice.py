@@ -1,0 +1,77 @@
+"""Whom a detector follows where it sees one person at a time and several are there.
+
+Such a detector may lock on to a bystander. So the person it found is hidden and it is asked again,
+on some frames; if another one is larger and longer in the picture, that one is followed.
+"""
+
+import logging
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
+
+logger = logging.getLogger(__name__)
+
+SAMPLES = 16  # frames on which others are looked for
+SEEN_SHARE = 0.3  # of them in which someone else must be found to be more than a mistake
+MARGIN = 0.1  # around a person, as a share of her height, that is hidden with her
+SURE = 0.5  # visibility from which a landmark is believed
+
+
+def detect_main_person(
+    frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector
+) -> tuple[Landmarks, int]:
+    """Find the larger, longer-tracked of two people.
+
+    Returns:
+        That person, and how many people there are (no more than two are looked for).
+    """
+    first = detect(frames)
+    if not first.found.any():
+        return first, 0
+    step = max(1, len(frames) // SAMPLES)
+    sample = slice(None, None, step)
+    other = detect(_hidden(frames[sample], _part(first, sample)))
+    if other.found.float().mean() < SEEN_SHARE or _size(other) == 0:
+        return first, 1
+    if _size(other) <= _size(_part(first, sample)):
+        logger.warning("two people; the larger, longer-tracked one is taken")
+        return first, 2
+    second = detect(_hidden(frames, first))
+    logger.warning("two people; the first one found is the smaller or less seen and is left out")
+    return second, 2
+
+
+def _part(person: Landmarks, frames: slice) -> Landmarks:
+    return Landmarks(
+        person.found[frames], person.points[frames], person.visibility[frames],
+        person.mattes[frames],
+    )  # fmt: skip
+
+
+def _size(person: Landmarks) -> float:
+    """Height in the picture, summed over the frames that surely show the person."""
+    sure = person.visibility >= SURE
+    rows = person.points[..., 1]
+    low = torch.where(sure, rows, torch.inf).amin(1)
+    high = torch.where(sure, rows, -torch.inf).amax(1)
+    heights = torch.where(sure.any(1) & person.found, high - low, 0.0)
+    return float(heights.sum())
+
+
+def _hidden(frames: UInt8[Tensor, "F H W 3"], person: Landmarks) -> UInt8[Tensor, "F H W 3"]:
+    """Frames with the person's box painted over in the frame's mean colour."""
+    hidden = frames.clone()
+    height, width = frames.shape[1:3]
+    for index in torch.nonzero(person.found).flatten().tolist():
+        points = person.points[index]
+        margin = MARGIN * float(points[:, 1].amax() - points[:, 1].amin()) + 1
+        left, top = (points.amin(0) - margin).floor().long().tolist()
+        right, bottom = (points.amax(0) + margin).ceil().long().tolist()
+        rows = slice(max(0, top), max(0, min(height, bottom)))
+        columns = slice(max(0, left), max(0, min(width, right)))
+        mean = frames[index].float().mean((0, 1)).round().to(torch.uint8)
+        hidden[index, rows, columns] = mean
+    return hidden

@@ -1,0 +1,237 @@
+"""From a video to an avatar in one command: `make avatar VIDEO=clip.mp4`.
+
+Writes `avatars/<name>/params.yaml` (once; it is the user's to change) and `avatars/<name>/dvc.yaml`
+(the root's stages, each time), checks the scene, and lets DVC make the rest: the avatar, a video of
+it doing what was filmed while the camera goes round, and a report. All results lie below that
+folder.
+"""
+
+import argparse
+import logging
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from deblur_avatar.config.reading import (
+    read_params,
+    read_yaml,
+    section_of,
+)
+from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.pipeline.experiment import (
+    PARAMS,
+    PIPELINE,
+    experiment_pipeline,
+)
+from deblur_avatar.pipeline.parameters import check_parameters
+from deblur_avatar.sources.footage import read_footage
+
+logger = logging.getLogger(__name__)
+
+AVATARS = Path("avatars")
+MAKER = "make avatar"
+BODY = "anny"
+DEFAULT_START = "paper"
+ADDED_TO = ("warmups", "runs", "animations")  # sections that each method asked for grows
+HEADER = """\
+# One person's video. Change what you know better, then run the same command again; every key of
+# `clip` is explained in docs/your-own-footage.md. What is not here is the root's params.yaml.
+
+"""
+
+
+def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> Path:
+    """Write an avatar's parameters, unless they are there, and its pipeline.
+
+    Args:
+        video: a video file or a folder of pictures.
+        name: of the avatar; letters, digits and `_`.
+        method: a row of the tables.
+        schedule: of `params.yaml`.
+        root: of the repository.
+
+    Returns:
+        The avatar's folder.
+
+    Raises:
+        ConfigError: if there is no such video, name, method or schedule.
+        ArtifactError: if the video cannot be read.
+    """
+    shared = read_params(root / PARAMS)
+    for kind, key in (("method", method), ("schedule", schedule)):
+        known = section_of(shared, root / PARAMS, f"{kind}s", dict)
+        if key not in known:
+            raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
+    starts = section_of(shared, root / PARAMS, "starts", dict)
+    start = method if method in starts else DEFAULT_START  # of methods that have none of their own
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ConfigError(f"NAME={name}: a name is small letters, digits and _, a letter first")
+    folder = root / AVATARS / name
+    if (folder / PARAMS).is_file():
+        content = _own(folder / PARAMS, name, video)
+    else:
+        read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
+        content = _new(name, video)
+    content = _with_method(content, name, method, start) | {"schedule": schedule}
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(folder / PARAMS, content)
+    check_parameters(folder / PARAMS)
+    (folder / PIPELINE).write_text(experiment_pipeline(folder, root, MAKER))
+    return folder
+
+
+def name_of(video: Path) -> str:
+    """A name for an avatar, from its file's."""
+    name = re.sub(r"[^a-z0-9]+", "_", video.stem.lower()).strip("_")
+    return name if name[:1].isalpha() else f"v_{name}" if name else "video"
+
+
+def targets(folder: Path, method: str) -> list[str]:
+    """What to ask DVC for, in order: the check, then everything of the method asked for."""
+    name, pipeline = folder.name, f"{folder}/{PIPELINE}"
+    run = f"{name}-{method}"
+    return [
+        f"{pipeline}:{stage}" for stage in (f"check@{name}", f"animate@{run}", f"evaluate@{run}")
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prepare and run; returns DVC's exit code."""
+    parser = argparse.ArgumentParser(description=prepare.__doc__)
+    parser.add_argument("--video", type=Path, required=True)
+    parser.add_argument("--name", default="")
+    parser.add_argument("--method", default="lean")
+    parser.add_argument("--schedule", default="medium")
+    asked = parser.parse_args(arguments)
+    root = Path()
+    folder = prepare(
+        asked.video, asked.name or name_of(asked.video), asked.method, asked.schedule, root
+    )
+    dvc = [sys.executable, "-m", "dvc", "repro"]
+    # Stage commands say `python`: the environment's own, whatever the shell's path says.
+    here = str(Path(sys.executable).parent)
+    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', '')}"}
+    steps = [[*dvc, target] for target in targets(folder, asked.method)]
+    steps.append([*dvc, "--single-item", f"{folder}/{PIPELINE}:report"])
+    for step in steps:
+        code = subprocess.run(step, env=environment, check=False).returncode
+        if code != 0:
+            return code
+    run = f"{folder.name}-{asked.method}"
+    logger.info("The check:    %s/data/check/%s/index.html", folder, folder.name)
+    logger.info("The avatar:   %s/data/fusion/%s/avatar", folder, run)
+    logger.info("All round:    %s/data/animate/%s/video.mp4 and contact_sheet.png", folder, run)
+    logger.info("The report:   %s/reports/index.html", folder)
+    return 0
+
+
+def _new(name: str, video: Path) -> dict[str, Any]:
+    clip = {
+        "source": "monocular",
+        "path": str(video.resolve()),
+        "frames": [0, None],
+        "stride": 1,
+        "fps": 30.0,
+        "image_height": 540,
+        "focal": "estimated",
+        "field_of_view": 60.0,
+        "exposure_s": None,
+        "shutter": 0.5,
+        "light": "linear",
+        "held_out": 0.0,
+        "keypoints": None,
+        "masks": None,
+        "poses": None,
+    }
+    scene = {
+        "body": BODY,
+        "clip": clip,
+        "blur": {"frames": "interpolated", "factor": 8, "window": 33, "light": "linear"},
+        "preprocess": {
+            "poses": "estimated",
+            "masks": "estimated",
+            "background": "auto",
+            # By the detector's guess and feet that stand; refined on one camera alone it drifts.
+            "depth": "known",
+            "margin": 0.1,
+            "validation_stride": 10,
+        },
+    }
+    return {
+        "shared": "../../params.yaml",
+        "seed": 0,
+        "schedule": "medium",
+        "scenes": {name: scene},
+        "warmups": {},
+        "runs": {},
+        "animations": {},
+    }
+
+
+def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
+    """What is in an avatar's file, once it is of this video and can be added to."""
+    content: dict[str, Any] = read_yaml(path)
+    known = section_of(content, path, f"scenes.{name}.clip.path", str)
+    for section in ADDED_TO:
+        section_of(content, path, section, dict)
+    if not _same_file(known, video):
+        raise ConfigError(f"{path} is of {known!r}; choose another NAME for {video}, or change it")
+    return content
+
+
+def _same_file(known: str, video: Path) -> bool:
+    try:
+        return os.path.realpath(known) == os.path.realpath(video)
+    except ValueError:  # letters that no path can have
+        return False
+
+
+def _with_method(content: dict[str, Any], name: str, method: str, start: str) -> dict[str, Any]:
+    """Add a run and its turntable; what is there stays."""
+    warmup = {"scene": name, "observations": "blurred", "start": start}
+    animation = {
+        "scene": name,
+        "motion": "own",
+        "start": 0.0,
+        "seconds": 8.0,
+        "fps": 24.0,
+        "image_size": 384,
+        "turns": 1.0,
+        "travel": 0.0,
+        "margin": 0.06,
+    }
+    run = f"{name}-{method}"
+    return (
+        {"predeblur": {}}
+        | content
+        | {
+            "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],
+            "runs": {run: warmup | {"method": method}} | content["runs"],
+            "animations": {run: animation} | content["animations"],
+        }
+    )
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    yaml = YAML()
+    yaml.width = 100
+    yaml.representer.add_representer(
+        type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null")
+    )
+    with path.open("w") as file:
+        file.write(HEADER)
+        yaml.dump(content, file)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
+    try:
+        raise SystemExit(main())
+    except (ConfigError, ArtifactError) as error:
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        raise SystemExit(1) from None

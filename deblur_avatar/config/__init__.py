@@ -1,0 +1,1 @@
+"""Parameters: `params.yaml`, read strictly; each class stands beside what it configures."""

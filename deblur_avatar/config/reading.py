@@ -1,0 +1,181 @@
+"""Strict reading of `params.yaml`, as DVC reads it (YAML 1.2).
+
+Every default lives in `params.yaml`, none in code. Unknown keys, missing keys, wrong types and
+values out of range are errors that name the key.
+"""
+
+import os
+import re
+from copy import deepcopy
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.nodes import CollectionNode
+
+from deblur_avatar.errors import ConfigError
+
+P = TypeVar("P")
+
+MAX_BYTES = 1 << 18  # of a parameter file; the root's has 10 kB, a megabyte takes ten seconds
+MAX_NODES, MAX_DEPTH = 100_000, 50  # with every alias written out; the root's has 1,500, 8 deep
+MAX_SHARED = 8  # files that name each other in turn
+
+ENVIRONMENT = (
+    r"\$\((?P<name>\w+)(?::-(?P<default>[^)]*))?\)",
+    r"\$\{(?P<name>\w+)(?::-(?P<default>[^}]*))?\}",
+)
+
+
+def load_params(path: Path, key: str, kind: Any) -> Any:
+    """Read one section (`"methods.paper.fusion"`) of a parameter file.
+
+    Raises:
+        ConfigError: naming the file, the key, what was wanted and what came.
+    """
+    return section_of(read_params(path), path, key, kind)
+
+
+def read_params(path: Path) -> Any:
+    """Read a parameter file; sections that it lacks come from the file that its `shared` names.
+
+    That file may name another in turn.
+
+    Raises:
+        ConfigError: if one of the two is missing or is not YAML, or they name each other.
+    """
+    return _with_shared(Path(path), 0)
+
+
+def _with_shared(path: Path, above: int) -> Any:
+    if above > MAX_SHARED:
+        raise ConfigError(
+            f"{path}: shared leads through over {MAX_SHARED} files; does one lead back to another?"
+        )
+    content = read_yaml(path)
+    if not isinstance(content, dict) or "shared" not in content:
+        return content
+    other = path.parent / parse(str, content["shared"], f"{path}: shared")
+    below = _with_shared(other, above + 1)
+    if not isinstance(below, dict):
+        raise ConfigError(f"{path}: shared: {other} must hold sections, got {below!r:.60}")
+    return {**below, **{key: value for key, value in content.items() if key != "shared"}}
+
+
+def section_of(content: Any, path: Path, key: str, kind: Any) -> Any:
+    """Check one section of what a parameter file holds; `path` is named in what is refused.
+
+    Raises:
+        ConfigError: naming the key, what was wanted and what came.
+    """
+    value = content
+    for depth, name in enumerate(key.split(".")):
+        if not isinstance(value, dict) or name not in value:
+            above = ".".join(key.split(".")[:depth]) or "the file"
+            known = ", ".join(map(str, value)) if isinstance(value, dict) else "no keys"
+            raise ConfigError(f"{path}: {key}: {above} has no key {name!r}, it has {known}")
+        value = value[name]
+    return parse(kind, value, f"{path}: {key}")
+
+
+def parse(kind: Any, value: Any, where: str) -> Any:
+    """Check one section against its class.
+
+    Raises:
+        ConfigError: all complaints at once, each with its key.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(_tuples(value))
+    except ValidationError as error:
+        complaints = [_complaint(item) for item in error.errors()]
+        raise ConfigError(f"{where}: " + "; ".join(complaints)) from None
+
+
+def expand_environment(text: str, where: str) -> str:
+    """Replace `$(VARIABLE)` and `$(VARIABLE:-default)` by what the environment holds.
+
+    Braces do as well, but `dvc exp run -S` refuses files that hold them: it reads them as its own.
+    An empty variable counts as unset, as in a shell.
+
+    Raises:
+        ConfigError: naming `where`, for a variable that is not set and has no default.
+    """
+
+    def value(match: re.Match[str]) -> str:
+        found = os.environ.get(match["name"]) or match["default"]
+        if found is None:
+            raise ConfigError(f"{where}: set the environment variable {match['name']}, it is empty")
+        return found
+
+    for pattern in ENVIRONMENT:
+        text = re.sub(pattern, value, text)
+    return text
+
+
+def read_yaml(path: Path) -> Any:
+    """Read a YAML 1.2 file as DVC does (`1e-3` is a number, `no` is a word).
+
+    Raises:
+        ConfigError: if it is missing, is not YAML, or is or unfolds to far more than parameters.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise ConfigError(f"{path} has over {MAX_BYTES >> 10} kB; is it a parameter file?")
+        return deepcopy(_yaml(text))
+    except ConfigError:
+        raise
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    except Exception as error:
+        # Damaged YAML raises nearly anything from inside ruamel.yaml: a date without a month, say.
+        raise ConfigError(f"{path} is not YAML: {error or repr(error)}") from None
+
+
+@lru_cache(maxsize=8)  # a stage reads its parameters section by section
+def _yaml(text: bytes) -> Any:
+    """What YAML text holds, once its nodes show that it does not unfold to any size."""
+    yaml = YAML(typ="safe", pure=True)
+    node = yaml.compose(text)
+    _unfolded(node, {}, 0)
+    return None if node is None else yaml.constructor.construct_document(node)
+
+
+def _unfolded(node: Any, known: dict[int, int | None], depth: int) -> int:
+    """How many nodes one stands for with every alias below it written out."""
+    if id(node) in known:
+        count = known[id(node)]
+        if count is None:
+            raise ValueError(f"the alias of line {node.start_mark.line + 1} contains itself")
+        return count
+    if depth > MAX_DEPTH:
+        raise ValueError(f"line {node.start_mark.line + 1} is nested over {MAX_DEPTH} levels deep")
+    known[id(node)] = None
+    content = node.value if isinstance(node, CollectionNode) else ()
+    below = [part for item in content for part in (item if isinstance(item, tuple) else (item,))]
+    count = 1 + sum(_unfolded(part, known, depth + 1) for part in below)
+    if count > MAX_NODES:
+        raise ValueError(f"its aliases stand for over {MAX_NODES} values")
+    known[id(node)] = count
+    return count
+
+
+def _tuples(value: Any) -> Any:
+    """Lists become tuples, so that parsed sections are immutable all the way down."""
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return tuple(_tuples(item) for item in value)
+    return value
+
+
+def _complaint(item: Any) -> str:
+    key = ".".join(str(part) for part in item["loc"]) or "value"
+    if item["type"] == "extra_forbidden":
+        return f"unknown key {key!r}"
+    if item["type"] == "missing":
+        return f"missing key {key!r}"
+    return f"{key}: {item['msg'][0].lower() + item['msg'][1:]}, got {item['input']!r:.200}"

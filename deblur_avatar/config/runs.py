@@ -1,0 +1,24 @@
+"""What is trained: warm-ups, and the runs that go on from them."""
+
+from typing import Literal
+
+from deblur_avatar.config.section import (
+    Params,
+)
+
+
+class WarmupParams(Params):
+    """A start on one scene's frames."""
+
+    scene: str
+    observations: Literal["exact", "sharp", "blurred", "deblurred"]
+    start: str
+
+
+class RunParams(Params):
+    """One method on one scene: which frames it sees and which warm-up it goes on from."""
+
+    scene: str
+    observations: Literal["exact", "sharp", "blurred", "deblurred"]
+    start: str
+    method: str

@@ -1,0 +1,1 @@
+"""Evaluation: image metrics, motion errors, held-out blur, recovery."""

@@ -1,0 +1,71 @@
+"""What to look at where there is no truth: blurred frames that were set aside, and their renders.
+
+A frame is explained if the avatar, drawn over the exposure and averaged, looks like it; drawn at
+the exposure's middle, the same avatar shows what it would have been without blur.
+"""
+
+from typing import Any
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.evaluation.reblur import poses_of_exposure
+from deblur_avatar.imaging.metrics import psnr
+
+Files = dict[str, UInt8[Tensor, "H W 3"]]
+
+
+def draw_explained(
+    avatar: Avatar, motion: Motion, observations: Observations, most: int, device: torch.device
+) -> tuple[Files, list[dict[str, Any]]]:
+    """Draw some validation frames (training frames if none is set aside), spread over the clip.
+
+    Returns:
+        Pictures by file name, and for each frame its entry in `views.json`: the names of its
+        `render`, its `averaged` render and the `blurred` frame, and the PSNR of the latter two.
+    """
+    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    frames = observations.validation or observations.train
+    frames = tuple(f for f in frames if observations.weights[f] > 0) or frames
+    steps = torch.linspace(0, len(frames) - 1, min(most, len(frames))).round().long().tolist()
+    files: Files = {}
+    index = []
+    name = observations.cameras.names[observations.train_camera]
+    for position in [frames[step] for step in steps]:
+        exposed = poses_of_exposure(observations.body, motion, position, observations.train)
+        middle = exposed.at([len(exposed.transl) // 2])
+        render = _draw(model, observations, middle, position, average=False)
+        averaged = _draw(model, observations, exposed, position, average=True)
+        blurred = observations.frames[position]
+        frame = observations.frame_indices[position]
+        names = {kind: f"{frame:04d}-{kind}.png" for kind in ("render", "averaged", "blurred")}
+        pictures = {"render": render, "averaged": averaged, "blurred": blurred}
+        files |= {names[kind]: picture for kind, picture in pictures.items()}
+        score = psnr(averaged[None].float() / 255, blurred[None].float() / 255)
+        entry = {"camera": name, "frame": frame, "novel_pose": False, "psnr": float(score)}
+        index.append({**entry, **names})
+    return files, index
+
+
+def _draw(
+    model: AvatarModel, observations: Observations, poses: Poses, position: int, *, average: bool
+) -> UInt8[Tensor, "H W 3"]:
+    camera = observations.train_camera
+    width, height = observations.cameras.sizes[camera].tolist()
+    image, _ = render_avatar(
+        model,
+        poses,
+        observations.cameras.Ks[camera].to(model.betas.device),
+        observations.cameras.viewmats[camera].to(model.betas.device),
+        width,
+        height,
+        frame=min(observations.train, key=lambda index: abs(index - position)),
+        average=average,
+    )
+    return (image[0].cpu().clamp(0, 1) * 255).round().to(torch.uint8)

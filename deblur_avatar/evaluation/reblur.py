@@ -1,0 +1,115 @@
+"""How well an avatar's motion explains blurred frames: it is rendered, averaged and compared.
+
+Frames set aside for validation were not fitted. Where every frame has a motion of its own, theirs
+is not known, so it is taken from the fitted frames before and after.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.evaluation.motion_errors import joint_positions
+from deblur_avatar.geometry.rotations import (
+    axis_angle_to_quat,
+    quat_to_axis_angle,
+    slerp,
+)
+from deblur_avatar.imaging.metrics import psnr
+
+# Kinds of motion whose rows know nothing of frames they were not fitted to.
+FRAME_BY_FRAME = ("frame", "pair")
+
+
+def reblur(
+    model: AvatarModel, observations: Observations, motion: Motion
+) -> dict[str, float | None]:
+    """Score averaged renders of the training camera against the frames it took.
+
+    Returns:
+        `psnr` over the frames set aside for validation (None without any) and `psnr_train` over
+        those trained on, dB, all pixels; data range 1, sRGB.
+    """
+
+    def mean(positions: Sequence[int]) -> float | None:
+        return mean_reblur_psnr(model, observations, motion, positions)
+
+    return {"psnr": mean(observations.validation), "psnr_train": mean(observations.train)}
+
+
+def mean_reblur_psnr(
+    model: AvatarModel, observations: Observations, motion: Motion, positions: Sequence[int]
+) -> float | None:
+    """PSNR of averaged renders against the frames at some positions, dB; None for no position."""
+    camera = observations.train_camera
+    width, height = observations.cameras.sizes[camera].tolist()
+    device = model.betas.device
+
+    def score(position: int) -> float:
+        nearest = min(observations.train, key=lambda index: abs(index - position))
+        image, _ = render_avatar(
+            model,
+            poses_of_exposure(observations.body, motion, position, observations.train),
+            observations.cameras.Ks[camera].to(device),
+            observations.cameras.viewmats[camera].to(device),
+            width,
+            height,
+            frame=nearest,
+            average=True,
+        )
+        return float(psnr(image.cpu(), observations.frames[position][None].float() / 255))
+
+    return sum(map(score, positions)) / len(positions) if positions else None
+
+
+def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence[int]) -> Poses:
+    """The instants of one exposure, as far as a motion knows them.
+
+    Between two fitted frames each instant turns along the shortest arcs. Their directions of time
+    are arbitrary where each frame was fitted for itself: the second frame's is reversed if that
+    brings its joints nearer to the first's.
+    """
+    if motion.kind not in FRAME_BY_FRAME or position in train:
+        return _row(motion, position)
+    before = [index for index in train if index < position]
+    after = [index for index in train if index > position]
+    if not before or not after:
+        return _row(motion, before[-1] if before else after[0])
+    start, end = _row(motion, before[-1]), _row(motion, after[0])
+    backward = end.at(list(reversed(range(len(end.transl)))))
+    here = joint_positions(body, start)
+    if _distance(here, joint_positions(body, backward)) < _distance(
+        here, joint_positions(body, end)
+    ):
+        end = backward
+    return _between(start, end, (position - before[-1]) / (after[0] - before[-1]))
+
+
+def _between(start: Poses, end: Poses, share: float) -> Poses:
+    first, second = (
+        axis_angle_to_quat(torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1))
+        for poses in (start, end)
+    )
+    mixed = quat_to_axis_angle(slerp(first, second, torch.tensor([share]))[0])
+    transl = start.transl + share * (end.transl - start.transl)
+    return replace(start, global_orient=mixed[:, 0], body_pose=mixed[:, 1:], transl=transl)
+
+
+def _row(motion: Motion, position: int) -> Poses:
+    return Poses(
+        betas=motion.centre.betas,
+        global_orient=motion.global_orient[position],
+        body_pose=motion.body_pose[position],
+        transl=motion.transl[position],
+    )
+
+
+def _distance(a: Float[Tensor, "S J 3"], b: Float[Tensor, "S J 3"]) -> float:
+    return float((a - b).square().sum())

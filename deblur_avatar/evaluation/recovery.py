@@ -1,0 +1,123 @@
+"""What a method's numbers mean beside those of other methods on the same scene.
+
+Conventions. A *result* is the content of one metrics file, `metrics/<scene>/<method>.json`: nested
+dictionaries of numbers, null for what was not measured.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from statistics import stdev
+from typing import Any
+
+FLOOR, BOUND, CEILING = "agnostic", "oracle", "ceiling"
+
+# Metrics that recovery is given for: 1 if larger is better, and the least cost of blur (oracle
+# against agnostic) below which a share of it means nothing: one seed differs from the next by as
+# much.
+RECOVERED = {
+    "psnr": (1, 0.5),
+    "psnr_seen": (1, 0.5),
+    "ssim": (1, 0.001),
+    "flip": (-1, 0.001),
+    "lpips_vgg": (-1, 0.001),
+}
+
+Result = dict[str, Any]
+
+
+def recovery(
+    value: float | None, agnostic: float | None, oracle: float | None, sign: int, least: float
+) -> float | None:
+    """Share of what blur costs that a method wins back: (value - agnostic) / (oracle - agnostic).
+
+    Args:
+        value: the method's.
+        agnostic: of the avatar that ignores blur.
+        oracle: of the avatar that saw sharp frames.
+        sign: 1 if larger is better, -1 if smaller is.
+        least: if blur costs less than this, no share of it is given.
+
+    Returns:
+        0 for as good as agnostic, 1 for as good as the oracle; None where something was not
+        measured or blur costs nothing.
+    """
+    if value is None or agnostic is None or oracle is None or sign * (oracle - agnostic) < least:
+        return None
+    return (value - agnostic) / (oracle - agnostic)
+
+
+def compared(results: Mapping[str, Result]) -> dict[str, Result]:
+    """Fill in recovery and the gap to the ceiling for every method of one scene.
+
+    Without `agnostic`, `oracle` or `ceiling` among them what depends on it stays null.
+    """
+
+    def image(method: str, metric: str) -> float | None:
+        found = (results.get(method, {}).get("image") or {}).get(metric)
+        return float(found) if found is not None and math.isfinite(found) else None
+
+    filled = {}
+    for method, result in results.items():
+        shares = {
+            metric: recovery(
+                image(method, metric), image(FLOOR, metric), image(BOUND, metric), sign, least
+            )
+            for metric, (sign, least) in RECOVERED.items()
+        }
+        best, own = image(CEILING, "psnr"), image(method, "psnr")
+        gap = None if best is None or own is None else best - own
+        filled[method] = {**result, "recovery": shares, "gap_to_ceiling_db": gap}
+    return filled
+
+
+def pooled(scenes: Mapping[str, Mapping[str, Result]], method: str) -> Result:
+    """One method's results averaged over the scenes it was run on.
+
+    Recovery is that of the averages, not the average of recoveries, which a scene with little blur
+    would rule: agnostic and oracle are averaged over the same scenes.
+    """
+    own = {scene: results for scene, results in scenes.items() if method in results}
+    means = {
+        other: averaged([results[other] for results in own.values()])
+        for other in dict.fromkeys((method, FLOOR, BOUND))
+        if all(other in results for results in own.values())
+    }
+    gap = means[method].get("gap_to_ceiling_db")
+    return compared(means)[method] | {"gap_to_ceiling_db": gap, "scenes": list(own)}
+
+
+def averaged(results: Iterable[Result]) -> Result:
+    """Mean of each number over several scenes, over those where it was measured.
+
+    Words and lists are kept where all scenes agree on them and left out otherwise.
+    """
+    every = list(results)
+    mean: Result = {}
+    for key in dict.fromkeys(key for result in every for key in result):
+        values = [result[key] for result in every if result.get(key) is not None]
+        if values and all(isinstance(value, dict) for value in values):
+            mean[key] = averaged(values)
+        elif values and all(_is_number(value) for value in values):
+            mean[key] = sum(values) / len(values)
+        elif not values:
+            mean[key] = None
+        elif all(value == values[0] for value in values):
+            mean[key] = values[0]
+    return mean
+
+
+def spread(results: Iterable[Result]) -> Result:
+    """Standard deviation of each number over several scenes, where two or more measured it."""
+    every = list(results)
+    deviations: Result = {}
+    for key in dict.fromkeys(key for result in every for key in result):
+        values = [result[key] for result in every if result.get(key) is not None]
+        if values and all(isinstance(value, dict) for value in values):
+            deviations[key] = spread(values)
+        elif len(values) > 1 and all(_is_number(value) for value in values):
+            deviations[key] = stdev(values)
+    return deviations
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,155 @@
+"""What a scene shows before training: blur, coverage, overlap of mask and body."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.geometry.cameras import camera_centres, project
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.rendering.mesh_rendering import View, cast_rays
+
+SAMPLES = 24  # frames whose silhouettes are compared
+
+
+HALF = 127  # of a matte's 255
+
+
+SATURATED = 254  # sRGB code from which a channel holds no detail
+
+
+SEEN_WITHIN = 60.0  # degrees between a surface's normal and the camera in which it is well seen
+
+
+BIN = 5  # degrees
+
+
+PARTS = {
+    "torso": ("pelvis", "spine3", "neck"),
+    "head": ("head",),
+    "upper arms": ("left_elbow", "right_elbow"),
+    "hands": ("left_hand", "right_hand"),
+    "knees": ("left_knee", "right_knee"),
+    "feet": ("left_foot", "right_foot"),
+}
+
+
+def blur_extent(observations: Observations) -> dict[str, float]:
+    """How far each part of the body travels in the picture while the shutter is open, pixels.
+
+    The 95th percentile over the frames with a person, of the fastest joint of the part; speeds are
+    central differences of the estimated poses. Empty where the exposure is not known.
+    """
+    if not observations.exposure or len(observations.timestamps) < 3:
+        return {}
+    poses, camera = observations.poses, observations.train_camera
+    motion = poses.global_orient, poses.body_pose, poses.transl
+    joints = posed_joints(observations.body, poses.betas, *motion)
+    lens = observations.cameras.Ks[camera], observations.cameras.viewmats[camera]
+    pixels, _ = project(joints, *lens)
+    times = observations.timestamps
+    speeds = (pixels[2:] - pixels[:-2]).norm(dim=-1) / (times[2:] - times[:-2])[:, None]
+    travel = speeds[observations.weights[1:-1] > 0] * observations.exposure
+    names = observations.body.joint_names
+    if not len(travel):
+        return {}
+    return {
+        part: float(
+            torch.quantile(travel[:, [names.index(joint) for joint in joints_]].amax(1), 0.95)
+        )
+        for part, joints_ in PARTS.items()
+        if all(joint in names for joint in joints_)
+    }
+
+
+def seen_azimuths(observations: Observations) -> Float[np.ndarray, " F"]:
+    """Where the camera stood about the body in training frames: degrees, 0 front, 90 left."""
+    frames = [index for index in observations.train if observations.weights[index] > 0]
+    poses = observations.poses.at(frames)
+    centre = camera_centres(observations.cameras.viewmats[observations.train_camera])
+    motion = poses.global_orient, poses.body_pose, poses.transl
+    pelvis = posed_joints(observations.body, poses.betas, *motion)[:, 0]
+    towards = (centre - pelvis)[:, None] @ axis_angle_to_matrix(poses.global_orient)
+    return np.degrees(np.arctan2(towards[:, 0, 0].numpy(), towards[:, 0, 2].numpy()))
+
+
+def coverage(azimuths: Float[np.ndarray, " F"]) -> float:
+    """Degrees about the body's vertical whose surface some frame sees within `SEEN_WITHIN`."""
+    bins = np.arange(-180, 180, BIN) + BIN / 2
+    apart = np.abs((bins[:, None] - azimuths[None] + 180) % 360 - 180)
+    return float(BIN * (apart.min(1) <= SEEN_WITHIN).sum()) if len(azimuths) else 0.0
+
+
+def silhouette(observations: Observations, position: int) -> Bool[np.ndarray, "H W"]:
+    """The estimated body in one frame."""
+    view = View.of(observations.cameras, observations.train_camera, samples_per_axis=1)
+    pose = observations.poses.at([position])
+    vertices = posed_vertices(
+        observations.body, pose.betas, pose.global_orient, pose.body_pose, pose.transl
+    )[0]
+    rays = view.directions.reshape(-1, 3)
+    hits = cast_rays(vertices.numpy(), observations.body.faces.numpy(), view.centre, rays)
+    return (hits.triangle >= 0).reshape(view.height, view.width)
+
+
+def spaced_frames(observations: Observations, count: int) -> list[int]:
+    """Frames with a person, evenly over the clip."""
+    shown = torch.nonzero(observations.weights > 0).flatten().tolist()
+    steps = np.linspace(0, len(shown) - 1, min(count, len(shown))).round().astype(int)
+    return [shown[step] for step in steps]
+
+
+def height_px(observations: Observations, joints: Float[Tensor, "F J 3"]) -> float | None:
+    """The person's median height in the training camera, pixels; None without frames."""
+    camera = observations.train_camera
+    lens = observations.cameras.Ks[camera], observations.cameras.viewmats[camera]
+    rows = project(joints, *lens)[0][..., 1]
+    # From the head's joint to the toes' are some nine tenths of a person.
+    return float((rows.amax(1) - rows.amin(1)).median() / 0.9) if len(rows) else None
+
+
+def reprojection_share(
+    observations: Observations, fit: Mapping[str, Any], height: float | None
+) -> float | None:
+    """Reprojection error of the landmarks, as a share of the person's height."""
+    name = observations.cameras.names[observations.train_camera]
+    found = ((fit.get("fit") or {}).get(name) or {}).get("reprojection_px")
+    if found is None or not height:
+        return None
+    crop, size = (
+        values[observations.train_camera]
+        for values in (observations.crops, observations.cameras.sizes)
+    )
+    return float(found * size[1] / crop[3] / height)
+
+
+def mask_body_iou(observations: Observations) -> float | None:
+    """Intersection over union of the estimated body and the mask, mean over frames."""
+    scores = []
+    for position in spaced_frames(observations, SAMPLES):
+        body, mask = (
+            silhouette(observations, position),
+            observations.mattes[position].numpy() > HALF,
+        )
+        if (body | mask).any():
+            scores.append((body & mask).sum() / (body | mask).sum())
+    return float(np.mean(scores)) if scores else None
+
+
+def cut_off_share(observations: Observations, shown: Bool[Tensor, " F"]) -> float:
+    """Share of frames whose mask reaches the picture's rim."""
+    full = observations.mattes[shown] > HALF
+    rim = full[:, 0].any(1) | full[:, -1].any(1) | full[:, :, 0].any(1) | full[:, :, -1].any(1)
+    return float(rim.float().mean())
+
+
+def saturated_share(observations: Observations) -> float | None:
+    """Share of the person's pixels in which a channel is saturated."""
+    inside = observations.mattes > 2 * HALF - 4
+    pixels = observations.frames[inside]
+    return float((pixels >= SATURATED).any(-1).float().mean()) if len(pixels) else None

@@ -1,1 +1,0 @@
-"""How unknowns are estimated."""

@@ -1,0 +1,1 @@
+"""Trajectories: how the body moves while the shutter is open."""

@@ -1,0 +1,80 @@
+"""The whole of `params.yaml`, section by section, checked before any work."""
+
+from pathlib import Path
+from typing import Any
+
+from deblur_avatar.config.reading import read_params, section_of
+from deblur_avatar.config.runs import RunParams, WarmupParams
+from deblur_avatar.config.section import Params
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.motion.params import TrajectoryParams
+from deblur_avatar.pipeline.animate import AnimationParams
+from deblur_avatar.pipeline.blur import BlurParams
+from deblur_avatar.pipeline.body import BodyParams
+from deblur_avatar.pipeline.check import CheckParams
+from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.pipeline.predeblur import PredeblurParams
+from deblur_avatar.pipeline.preprocess import PreprocessParams
+from deblur_avatar.training.params import FusionParams, StartParams
+from deblur_avatar.training.schedule import ScheduleParams
+
+
+class SceneParams(Params):
+    """Footage, from its files to what fitting sees."""
+
+    body: str
+    clip: ClipParams
+    blur: BlurParams
+    preprocess: PreprocessParams
+
+
+class MethodParams(Params):
+    """A row of every table."""
+
+    trajectory: TrajectoryParams
+    fusion: FusionParams
+
+
+def check_parameters(path: Path) -> None:
+    """Check a whole parameter file before any work: every section, and every name in it.
+
+    Raises:
+        ConfigError: for the first section that cannot be run.
+    """
+    content = read_params(path)
+    sections: dict[str, Any] = {
+        "schedules": ScheduleParams,
+        "bodies": BodyParams,
+        "starts": StartParams,
+        "methods": MethodParams,
+        "scenes": SceneParams,
+        "predeblur": PredeblurParams,
+        "warmups": WarmupParams,
+        "runs": RunParams,
+        "animations": AnimationParams,
+    }
+    section_of(content, path, "seed", int)
+    section_of(content, path, "snapshots", int)
+    section_of(content, path, "check", CheckParams)
+    for section, kind in sections.items():
+        for name in section_of(content, path, section, dict):
+            section_of(content, path, f"{section}.{name}", kind)
+    section_of(content, path, f"schedules.{section_of(content, path, 'schedule', str)}", dict)
+    for name in content["predeblur"].keys() - content["scenes"].keys():
+        raise ConfigError(f"{path}: predeblur.{name}: there is no scene {name!r}")
+    named = {"scene": "scenes", "start": "starts", "method": "methods"}
+    for section in ("warmups", "runs"):
+        for name, entry in content[section].items():
+            for key in named.keys() & entry.keys():
+                if entry[key] not in content[named[key]]:
+                    known = ", ".join(content[named[key]])
+                    raise ConfigError(
+                        f"{path}: {section}.{name}: no {key} {entry[key]!r}, there is {known}"
+                    )
+    for name, entry in content["runs"].items():
+        warmup = f"{entry['scene']}-{entry['observations']}-{entry['start']}"
+        if warmup not in content["warmups"]:
+            raise ConfigError(f"{path}: runs.{name} goes on from {warmup}, add it to warmups")
+    for name, entry in content["animations"].items():
+        if content["runs"].get(name, {}).get("scene") != entry["scene"]:
+            raise ConfigError(f"{path}: animations.{name}: no run {name!r} on {entry['scene']!r}")

@@ -1,0 +1,1 @@
+"""Strict readers of foreign binary files: pickles, npz, network weights."""

@@ -1,0 +1,135 @@
+"""How Gaussians reach into space: rotations times scales, and the covariances these make.
+
+Conventions. A *spread* is a Gaussian's rotation times its scales, metres; its covariance is spread
+spread^T, its upper triangle xx, xy, xz, yy, yz, zz. Quaternions need not be of unit length. A
+*turn* is the imaginary part of a rotation whose real part is 1, done after the Gaussian's own.
+
+Float32 tensors on the CPU go through a native kernel: in plain torch a dozen calls over short rows
+take as long as the rasterization of one instant.
+"""
+
+import ctypes
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from deblur_avatar.geometry.rotations import quat_multiply, quat_to_matrix
+from deblur_avatar.rendering.native_build import (
+    BuildError,
+    load_library,
+    pointers,
+)
+
+KERNEL: Final = Path(__file__).with_name("covariance_factors.cpp")
+
+
+def covariance_factors(
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    turns: Float[Tensor, "N 3"] | None = None,
+) -> Float[Tensor, "N 3 3"]:
+    """Rotations times scales, of turned Gaussians if there are turns.
+
+    Raises:
+        ValueError: the sizes do not fit.
+    """
+    for name, values, width in (("scales", scales, 3), ("turns", turns, 3), ("quats", quats, 4)):
+        if values is not None and values.shape != (len(quats), width):
+            wanted, got = [len(quats), width], [*values.shape]
+            raise ValueError(f"{name} must be {wanted}, got {got}")
+    if _native(quats, scales, *([] if turns is None else [turns])):
+        return _CovarianceFactors.apply(quats, scales, turns)
+    return covariance_factors_reference(quats, scales, turns)
+
+
+def covariance_factors_reference(
+    quats: Float[Tensor, "N 4"],
+    scales: Float[Tensor, "N 3"],
+    turns: Float[Tensor, "N 3"] | None = None,
+) -> Float[Tensor, "N 3 3"]:
+    """The same in plain torch, on any device and in any precision: the kernel's slow twin."""
+    if turns is not None:
+        quats = quat_multiply(torch.nn.functional.pad(turns, (1, 0), value=1.0), quats)
+    return quat_to_matrix(quats) * scales[:, None, :]
+
+
+def covariances(covariance_factors: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 6"]:
+    """Upper triangles of covariance_factors covariance_factors^T."""
+    if _native(covariance_factors):
+        return _Covariances.apply(covariance_factors)
+    return covariances_reference(covariance_factors)
+
+
+def covariances_reference(
+    covariance_factors: Float[Tensor, "*batch N 3 3"],
+) -> Float[Tensor, "*batch N 6"]:
+    """The same in plain torch."""
+    a, b, c = covariance_factors.unbind(-2)
+    products = [(a, a), (a, b), (a, c), (b, b), (b, c), (c, c)]
+    return torch.stack([(p * q).sum(-1) for p, q in products], dim=-1)
+
+
+class _CovarianceFactors(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, quats: Tensor, scales: Tensor, turns: Tensor | None) -> Tensor:
+        inputs = [None if v is None else v.contiguous() for v in (quats, scales, turns)]
+        found = quats.new_empty(len(quats), 3, 3)
+        _call("spread", len(quats), *inputs, found)
+        ctx.save_for_backward(*inputs)
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        inputs = ctx.saved_tensors
+        grads = tuple(None if value is None else torch.empty_like(value) for value in inputs)
+        _call("spread_backward", len(grad), *inputs, grad.contiguous(), *grads)
+        return grads
+
+
+class _Covariances(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, covariance_factors: Tensor) -> Tensor:
+        values = covariance_factors.contiguous()
+        found = values.new_empty(len(values), 6)
+        _call("covariances", len(values), values, found)
+        ctx.save_for_backward(values)
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        (values,) = ctx.saved_tensors
+        found = torch.empty_like(values)
+        _call("covariances_backward", len(values), values, grad.contiguous(), found)
+        return found
+
+
+def _native(*values: Tensor) -> bool:
+    fit = all(v.device.type == "cpu" and v.dtype == torch.float32 for v in values)
+    return fit and _library() is not None
+
+
+def _call(name: str, count: int, *tensors: Tensor | None) -> None:
+    getattr(_library(), name)(count, torch.get_num_threads(), *pointers(*tensors))
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    try:
+        library = load_library(KERNEL)
+    except BuildError as error:
+        warnings.warn(f"Gaussians are turned in plain torch, slowly: {error}", stacklevel=2)
+        return None
+    tensors = {"spread": 4, "spread_backward": 7, "covariances": 2, "covariances_backward": 3}
+    for name, count in tensors.items():
+        function = getattr(library, name)
+        function.argtypes = [ctypes.c_int64, ctypes.c_int, *[ctypes.c_void_p] * count]
+        function.restype = None
+    return library

@@ -1,0 +1,119 @@
+"""The rasterizer on a GPU, by way of gsplat: the one module that knows it.
+
+gsplat 1.5.3 has the leading batch dimension that one call for B poses needs. Its conventions are
+those of `conventions.py`; the differences met here are of form. It reads only the upper triangle of
+a covariance and returns the gradient there; it composites colours over black, so that the
+background is added behind; and where `radii` is 0 its other numbers are uninitialised memory.
+
+Its gradients of the camera mix the poses of a batch (each warp adds up by camera alone), which is
+one reason why no backend offers them.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.rendering.conventions import EPS2D, NEAR_PLANE
+from deblur_avatar.rendering.covariances import upper_triangles, whole_matrices
+from deblur_avatar.rendering.inputs import refuse_not_finite
+from deblur_avatar.rendering.result import Rasterization, ScreenStatistics
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def rasterize(
+    means: Float[Tensor, "B N 3"],
+    covars: Float[Tensor, "*rest N 3 3"] | Float[Tensor, "*rest N 6"],
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "N C"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+    *,
+    background: Float[Tensor, " C"] | None,
+    average: bool,
+    depth: bool,
+) -> Rasterization:
+    """Rasterize with gsplat; see the package for the arguments.
+
+    Raises:
+        ValueError: the tensors are not float32 on a GPU, or a value is NaN or infinite.
+        ImportError: gsplat is not installed.
+    """
+    _check_place(means)
+    refuse_not_finite(
+        means=means, covars=covars, opacities=opacities, colors=colors, background=background
+    )
+    B, N, C = len(means), means.shape[1], colors.shape[1]
+    if covars.shape[-1] == 3:
+        covars = upper_triangles(0.5 * (covars + covars.mT))  # the gradient becomes symmetric
+    covars = whole_matrices(covars).expand(B, N, 3, 3)
+    pictures, alpha, info = _gsplat_rasterization()(
+        means,
+        None,
+        None,
+        opacities.expand(B, N),
+        colors.expand(B, N, C),
+        viewmat.expand(B, 1, 4, 4),
+        K.expand(B, 1, 3, 3),
+        width,
+        height,
+        covars=covars,
+        near_plane=NEAR_PLANE,
+        eps2d=EPS2D,
+        packed=False,
+        absgrad=True,
+        render_mode="RGB+D" if depth else "RGB",
+    )
+    pictures, alpha = pictures[:, 0], alpha[:, 0, ..., 0]
+    if average:
+        pictures, alpha = pictures.mean(0, keepdim=True), alpha.mean(0, keepdim=True)
+    image = pictures[..., :C]
+    if background is not None:
+        image = image + (1 - alpha)[..., None] * background
+    radii = info["radii"][:, 0].amax(-1)
+    return Rasterization(
+        image=image,
+        alpha=alpha,
+        depth=pictures[..., C] if depth else None,
+        radii=radii,
+        screen=_watch(info["means2d"], radii),
+    )
+
+
+def _check_place(means: Tensor) -> None:
+    if means.dtype != torch.float32 or means.device.type != "cuda":
+        raise ValueError(
+            f"the cuda backend computes in float32 on a GPU, got {means.dtype} on {means.device};"
+            " backend='reference' takes any"
+        )
+
+
+def _watch(means2d: Float[Tensor, "B 1 N 2"], radii: Tensor) -> ScreenStatistics:
+    """Fill screen statistics when the gradient of the projected centres arrives."""
+    screen = ScreenStatistics()
+    if means2d.requires_grad:
+        seen = (radii > 0)[..., None]
+
+        def add(grad: Tensor) -> None:
+            # gsplat's backward leaves the absolute gradient on the tensor itself.
+            absgrad = means2d.absgrad[:, 0]  # type: ignore[attr-defined]
+            screen.add(torch.where(seen, grad[:, 0], 0), torch.where(seen, absgrad, 0))
+
+        means2d.register_hook(add)
+    return screen
+
+
+def _gsplat_rasterization() -> "Callable[..., Any]":
+    try:
+        from gsplat import rasterization
+    except ImportError as error:
+        raise ImportError(
+            "tensors on a GPU are rasterized by gsplat: pip install 'deblur-avatar[cuda]',"
+            " or choose backend='reference'"
+        ) from error
+    return rasterization

@@ -1,0 +1,114 @@
+"""Linear blend skinning of Gaussians: posed means and covariances in B poses at once.
+
+Conventions. Covariance factors and covariances are those of `covariance_factors`. Transforms go
+from canonical to posed.
+
+Float32 tensors on the CPU are posed by a native kernel: in plain torch this step costs several
+times the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
+"""
+
+import ctypes
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from deblur_avatar.rendering.covariance_factors import covariances_reference
+from deblur_avatar.rendering.native_build import (
+    BuildError,
+    load_library,
+    pointers,
+)
+
+KERNEL: Final = Path(__file__).with_name("posing.cpp")
+
+
+def pose_gaussians(
+    means: Float[Tensor, "N 3"],
+    covariance_factors: Float[Tensor, "N 3 3"],
+    lbs_weights: Float[Tensor, "N J"],
+    transforms: Float[Tensor, "B J 4 4"],
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 6"]]:
+    """Skin Gaussians: posed means, and the upper triangles of posed covariances.
+
+    The blended rotation is not made orthonormal again: covariances stretch as the skin does.
+
+    Source: 3DGS-Avatar, Qian et al., CVPR 2024, eq. 6-7.
+    """
+    if means.device.type == "cpu" and means.dtype == torch.float32 and _library() is not None:
+        return _Posing.apply(means, covariance_factors, lbs_weights, transforms)
+    return pose_gaussians_reference(means, covariance_factors, lbs_weights, transforms)
+
+
+def pose_gaussians_reference(
+    means: Float[Tensor, "N 3"],
+    covariance_factors: Float[Tensor, "N 3 3"],
+    lbs_weights: Float[Tensor, "N J"],
+    transforms: Float[Tensor, "B J 4 4"],
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 6"]]:
+    """The same in plain torch, on any device and in any precision: the kernel's slow twin."""
+    rotation = (lbs_weights @ transforms[:, :, :3, :3].flatten(2)).unflatten(-1, (3, 3))
+    shift = lbs_weights @ transforms[:, :, :3, 3]
+    posed = (rotation * means[:, None, :]).sum(-1) + shift
+    turned = (rotation[..., :, :, None] * covariance_factors[:, None, :, :]).sum(-2)
+    return posed, covariances_reference(turned)
+
+
+class _Posing(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, means: Tensor, covariance_factors: Tensor, lbs_weights: Tensor, transforms: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        poses, joints = transforms.shape[:2]
+        # One row of 12 B numbers a joint.
+        rows = transforms[:, :, :3].permute(1, 0, 2, 3).contiguous()
+        inputs = [value.contiguous() for value in (means, covariance_factors, lbs_weights)] + [rows]
+        count = len(means)
+        posed = means.new_empty(poses, count, 3), means.new_empty(poses, count, 6)
+        sizes = (poses, count, joints, torch.get_num_threads())
+        library = _library()
+        assert library is not None
+        library.pose(*sizes, *pointers(*inputs, *posed))
+        ctx.save_for_backward(*inputs)
+        ctx.sizes = sizes
+        return posed
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, means_grad: Tensor, covars_grad: Tensor) -> tuple[Tensor | None, ...]:
+        inputs = ctx.saved_tensors
+        means, covariance_factors, lbs_weights, rows = inputs
+        poses, count, joints, _ = ctx.sizes
+        library = _library()
+        assert library is not None
+        grads = [torch.empty_like(means), torch.empty_like(covariance_factors)]
+        wanted = ctx.needs_input_grad[2]  # not where weights are the body's own
+        weights_grad = torch.empty_like(lbs_weights) if wanted else None
+        partials = means.new_empty(library.chunks(count), joints, poses, 12)
+        rows_grad = torch.empty_like(rows)
+        upstream = means_grad.contiguous(), covars_grad.contiguous()
+        library.pose_backward(
+            *ctx.sizes, *pointers(*inputs, *upstream, *grads, weights_grad, partials, rows_grad)
+        )
+        transforms_grad = torch.nn.functional.pad(rows_grad.permute(1, 0, 2, 3), (0, 0, 0, 1))
+        return *grads, weights_grad, transforms_grad
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    try:
+        library = load_library(KERNEL)
+    except BuildError as error:
+        warnings.warn(f"Gaussians are posed in plain torch, slowly: {error}", stacklevel=2)
+        return None
+    sizes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int]
+    library.pose.argtypes = [*sizes, *[ctypes.c_void_p] * 6]
+    library.pose_backward.argtypes = [*sizes, *[ctypes.c_void_p] * 11]
+    library.pose.restype = library.pose_backward.restype = None
+    library.chunks.argtypes, library.chunks.restype = [ctypes.c_int64], ctypes.c_int64
+    return library

@@ -1,0 +1,1 @@
+"""Training of an avatar and its trajectory against blurred frames."""

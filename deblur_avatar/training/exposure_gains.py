@@ -1,0 +1,56 @@
+"""How much brighter each frame is than the clip, where exposure or light does not hold still.
+
+Conventions. Gains multiply a picture in the space in which its light is averaged, where a change of
+light is nearly one factor in sRGB values too (a power of it). Logarithms of gains have the mean
+zero over the frames that were looked at: an avatar is as bright as the clip is on average. Nothing
+of them is left in it.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.imaging.color import srgb_to_linear
+from deblur_avatar.training.targets import Target
+
+BLEND = 0.5  # of what a visit finds with what was known
+MAX_VALUE = 1.4  # of a gain's logarithm: two stops
+
+
+class ExposureGains:
+    """One gain a frame: by how much the frame is brighter than its render, where the person is.
+
+    The first visit finds how the avatar's colours begin, not the light, and is only counted.
+    """
+
+    def __init__(self, frames: int, light: str, device: torch.device) -> None:
+        self._light = light
+        self._found = torch.zeros(frames, device=device)
+        self._visits = torch.zeros(frames, dtype=torch.long, device=device)
+
+    def of(self, frame: int) -> Float[Tensor, ""]:
+        """What a render is multiplied by before it is compared with a frame."""
+        known = self._visits > 1
+        if not bool(known[frame]):
+            return torch.ones_like(self._found[0])
+        return (self._found[frame] - self._found[known].mean()).exp()
+
+    def observe(self, frame: int, render: Float[Tensor, "H W 3"], target: Target) -> None:
+        """Compare a frame with its render, which has no gain yet."""
+        seen = srgb_to_linear(target.image) if self._light == "linear" else target.image
+        inside = target.matte[..., None]
+        ratio = (seen * inside).sum() / (render.detach() * inside).sum().clamp(min=1e-6)
+        found = ratio.clamp(min=1e-6).log().clamp(-MAX_VALUE, MAX_VALUE)
+        visits = int(self._visits[frame])
+        blend = BLEND if visits > 1 else 1.0
+        self._found[frame] = torch.lerp(self._found[frame], found, blend)
+        self._visits[frame] += 1
+
+    def state(self) -> dict[str, Tensor]:
+        """What a later stage goes on from."""
+        return {"found": self._found, "visits": self._visits}
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state` gave."""
+        self._found.copy_(state["found"])
+        self._visits.copy_(state["visits"])

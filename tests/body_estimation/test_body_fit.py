@@ -1,0 +1,164 @@
+import dataclasses
+
+import pytest
+import torch
+
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.body_estimation import body_fit
+from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
+from deblur_avatar.body_estimation.landmarks import Landmarks
+from deblur_avatar.body_estimation.track_smoothness import measure_track
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from tests.process_state import by_threads
+from tests.walking_person import FPS, detect_perfectly, ring_of_cameras, walking_poses
+
+FRAMES = 10
+CAMERAS = ring_of_cameras()
+ALL = tuple(range(4))
+LEFT_AND_RIGHT = [0, *[mark + (1 if mark % 2 else -1) for mark in range(1, 33)]]
+
+
+@pytest.fixture(autouse=True)
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 100)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 60)
+    monkeypatch.setattr(body_fit, "SURFACE_POINTS", 300)
+
+
+@pytest.fixture(scope="module")
+def truth(body: Body) -> Poses:
+    return walking_poses(body, FRAMES)
+
+
+@pytest.fixture(scope="module")
+def people(body: Body, truth: Poses) -> list[Landmarks]:
+    return [detect_perfectly(body, truth, CAMERAS, camera) for camera in ALL]
+
+
+def fit(body: Body, people: list[Landmarks], recorded: tuple[int, ...] = ALL) -> BodyFit:
+    return fit_body(body, CAMERAS, recorded, people, torch.arange(FRAMES) / FPS)
+
+
+def motion(poses: Poses) -> tuple[torch.Tensor, ...]:
+    return poses.betas, poses.global_orient, poses.body_pose, poses.transl
+
+
+def joint_error(body: Body, found: Poses, truth: Poses) -> float:
+    """Mean distance of joints, metres."""
+    distance = posed_joints(body, *motion(found)) - posed_joints(body, *motion(truth))
+    return float(distance.norm(dim=-1).mean())
+
+
+def swapped(person: Landmarks) -> Landmarks:
+    return dataclasses.replace(
+        person,
+        points=person.points[:, LEFT_AND_RIGHT],
+        visibility=person.visibility[:, LEFT_AND_RIGHT],
+    )
+
+
+def without(person: Landmarks, frames: list[int]) -> Landmarks:
+    found, points, mattes = person.found.clone(), person.points.clone(), person.mattes.clone()
+    found[frames], points[frames], mattes[frames] = False, 0, 0
+    return dataclasses.replace(person, found=found, points=points, mattes=mattes)
+
+
+def test_a_seen_body_is_recovered(body: Body, truth: Poses, people: list[Landmarks]):
+    found = fit(body, people)
+    assert joint_error(body, found.poses, truth) < 0.015
+    surface = posed_vertices(body, *motion(found.poses)) - posed_vertices(body, *motion(truth))
+    assert surface.norm(dim=-1).mean() < 0.025
+    assert found.residuals.median() < 0.01 * found.extent
+
+
+def test_the_number_of_threads_changes_no_bit(body: Body, people: list[Landmarks]):
+    results = by_threads(lambda: motion(fit(body, people).poses), 1, 2)
+    for one, two in zip(*results, strict=True):
+        assert torch.equal(one, two)
+
+
+def test_a_view_with_left_and_right_swapped_does_no_harm(
+    body: Body, truth: Poses, people: list[Landmarks], caplog: pytest.LogCaptureFixture
+):
+    found = fit(body, [people[0], swapped(people[1]), *people[2:]])
+    assert joint_error(body, found.poses, truth) < 0.02
+    assert "camera cam1 agrees with the others on" in caplog.text
+
+
+def test_frames_without_a_person_are_bridged(body: Body, truth: Poses, people: list[Landmarks]):
+    gap = [4, 5]
+    found = fit(body, [without(person, gap) for person in people])
+    assert joint_error(body, found.poses, truth) < 0.03
+
+
+def test_the_same_input_gives_the_same_poses(body: Body, people: list[Landmarks]):
+    first, second = fit(body, people).poses, fit(body, people).poses
+    assert all(torch.equal(a, b) for a, b in zip(motion(first), motion(second), strict=True))
+
+
+def test_a_body_in_a_moved_world_is_the_same_body(
+    body: Body, people: list[Landmarks], monkeypatch: pytest.MonkeyPatch
+):
+    turned = torch.eye(4)
+    turned[:3, :3] = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # +Z up, as in a laboratory
+    turned[:3, 3] = torch.tensor([0.5, -1.0, 2.0])
+    viewmats = CAMERAS.viewmats @ torch.linalg.inv(turned)
+    moved_cameras = dataclasses.replace(CAMERAS, viewmats=viewmats)
+    here = fit(body, people).poses
+    there = fit_body(body, moved_cameras, ALL, people, torch.arange(FRAMES) / FPS).poses
+    expected = posed_joints(body, *motion(here)) @ turned[:3, :3].T + turned[:3, 3]
+    assert (posed_joints(body, *motion(there)) - expected).norm(dim=-1).mean() < 0.005
+
+
+def test_one_view_and_a_guess_of_depth_recover_the_body(
+    body: Body, truth: Poses, people: list[Landmarks]
+):
+    guessed = people[0].world * 1.1  # type: ignore[operator]  # a detector's idea of her height
+    found = fit(body, [dataclasses.replace(people[0], world=guessed)], (0,))
+    # Distance from the camera is known as well as the height is: her own is 4 % off the mean.
+    away, true = (posed_joints(body, *motion(poses)) for poses in (found.poses, truth))
+    about = (away - away[:, :1]) - (true - true[:, :1])
+    assert about.norm(dim=-1).mean() < 0.05
+    assert (away - true).norm(dim=-1).mean() < 0.25
+    assert found.residuals.median() < 0.015 * found.extent
+    assert found.trust.min() == 1
+
+
+def test_in_one_view_jumps_and_losses_are_bridged_and_trusted_less(
+    body: Body, truth: Poses, people: list[Landmarks]
+):
+    points, visibility = people[0].points.clone(), people[0].visibility.clone()
+    points[5, [13, 15, 19]] += torch.tensor([60.0, -40])  # the left arm jumps away and back
+    visibility[6, 15:23] = 0.05  # the hands are lost
+    blurred = dataclasses.replace(people[0], points=points, visibility=visibility)
+    found = fit(body, [blurred], (0,))
+    assert found.flags["jumped"] >= 3
+    assert found.trust.argsort()[:2].sort().values.tolist() == [5, 6]
+    clean = posed_joints(body, *motion(fit(body, people[:1], (0,)).poses))
+    joints = posed_joints(body, *motion(found.poses))
+    assert (joints - clean).norm(dim=-1).max() < 0.08
+    steps = measure_track(body, found.poses, torch.arange(FRAMES) / FPS)
+    assert steps["speed_ratio"] < 3
+
+
+def test_one_view_without_a_guess_of_depth_still_faces_the_right_way(
+    body: Body, truth: Poses, people: list[Landmarks]
+):
+    found = fit(body, [dataclasses.replace(people[0], world=None)], (0,))
+    front = axis_angle_to_matrix(found.poses.global_orient)[..., 2]
+    assert (front * axis_angle_to_matrix(truth.global_orient)[..., 2]).sum(-1).min() > 0.5
+
+
+def test_footage_without_a_person_is_refused(body: Body, people: list[Landmarks]):
+    nobody = [without(person, list(range(FRAMES))) for person in people]
+    with pytest.raises(ArtifactError, match="no person found in any frame"):
+        fit(body, nobody)
+
+
+def test_cameras_that_never_agree_are_refused(body: Body, people: list[Landmarks]):
+    elsewhere = dataclasses.replace(people[1], points=people[1].points + 500)
+    with pytest.raises(ArtifactError, match="no two cameras agree"):
+        fit(body, [people[0], elsewhere], (0, 1))

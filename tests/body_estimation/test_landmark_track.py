@@ -1,0 +1,109 @@
+import dataclasses
+
+import pytest
+import torch
+
+from deblur_avatar.body_estimation.landmark_track import (
+    ARMS,
+    LEGS,
+    MIRRORED,
+    clean,
+    trust,
+)
+from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+
+FRAMES, INTERVAL = 20, 1 / 25
+
+
+@pytest.fixture
+def walker() -> Landmarks:
+    """600 pixels tall, all landmarks wander with sides 40 to 100 pixels apart."""
+    time = torch.arange(FRAMES)[:, None]
+    mark = torch.arange(COUNT)[None]
+    side = torch.where(mark % 2 == 1, 1.0, -1.0) * (20 + mark)
+    x = 500 + 4 * time + side + 10 * torch.sin(0.4 * time + mark)
+    y = 100 + 600 * mark / (COUNT - 1) + 5 * torch.cos(0.5 * time + mark)
+    points = torch.stack([x, y.expand_as(x)], dim=-1)
+    return Landmarks(
+        found=torch.ones(FRAMES, dtype=torch.bool),
+        points=points,
+        visibility=torch.full((FRAMES, COUNT), 0.9),
+        mattes=torch.zeros(FRAMES, 2, 2, dtype=torch.uint8),
+        world=torch.cat([points / 350, 0 * points[..., :1]], dim=-1),
+    )
+
+
+def changed(person: Landmarks, frames, marks, points) -> Landmarks:
+    moved = person.points.clone()
+    moved[frames, marks] = points
+    return dataclasses.replace(person, points=moved)
+
+
+def test_what_is_right_stays_as_it_is(walker: Landmarks):
+    track = clean(walker, INTERVAL)
+    assert track.flags.counts() == {"swapped": 0, "jumped": 0, "lost": 0}
+    torch.testing.assert_close(track.person.points, walker.points, rtol=0, atol=1e-3)
+    assert torch.equal(track.person.visibility, walker.visibility)
+
+
+@pytest.mark.parametrize("group", [ARMS, LEGS], ids=["arms", "legs"])
+def test_exchanged_sides_are_put_right(walker: Landmarks, group: tuple[int, ...]):
+    marks, frames = list(group), slice(8, 12)
+    points, world = walker.points.clone(), walker.world.clone()
+    mirrored = [MIRRORED[mark] for mark in marks]
+    points[frames, marks] = walker.points[frames, mirrored]
+    world[frames, marks] = walker.world[frames, mirrored]
+    track = clean(dataclasses.replace(walker, points=points, world=world), INTERVAL)
+    assert track.flags.swapped.any(1).nonzero().flatten().tolist() == [8, 9, 10, 11]
+    assert track.flags.counts()["jumped"] == 0
+    torch.testing.assert_close(track.person.points, walker.points, rtol=0, atol=1e-3)
+    torch.testing.assert_close(track.person.world, walker.world, rtol=0, atol=1e-4)
+
+
+def test_a_jump_there_and_back_is_flagged_and_bridged(walker: Landmarks):
+    away = walker.points[9, 15] + torch.tensor([250.0, -200])
+    track = clean(changed(walker, 9, 15, away), INTERVAL)
+    assert track.flags.jumped.nonzero().tolist() == [[9, 15]]
+    assert track.person.visibility[9, 15] == 0
+    assert (track.person.points[9, 15] - walker.points[9, 15]).norm() < 5
+
+
+def test_two_wrong_frames_in_a_row_are_flagged(walker: Landmarks):
+    away = walker.points[9:11, 16] + torch.tensor([-300.0, 0])
+    track = clean(changed(walker, slice(9, 11), 16, away), INTERVAL)
+    assert track.flags.jumped.nonzero().tolist() == [[9, 16], [10, 16]]
+
+
+def test_a_real_kick_is_no_jump(walker: Landmarks):
+    points = walker.points.clone()
+    kick = torch.tensor([0, 40, 110, 190, 260, 300, 310, 300, 260, 190, 110, 40, 0.0])
+    points[4:17, 28, 1] -= kick
+    track = clean(dataclasses.replace(walker, points=points), INTERVAL)
+    assert track.flags.counts()["jumped"] == 0
+
+
+def test_what_is_hardly_seen_is_lost_and_filled_in(walker: Landmarks):
+    visibility = walker.visibility.clone()
+    visibility[5:8, 27] = 0.1
+    noisy = changed(walker, slice(5, 8), 27, torch.tensor([0.0, 0.0]))
+    track = clean(dataclasses.replace(noisy, visibility=visibility), INTERVAL)
+    assert track.flags.lost.nonzero().tolist() == [[5, 27], [6, 27], [7, 27]]
+    assert (track.person.points[5:8, 27] - walker.points[5:8, 27]).norm(dim=-1).max() < 12
+    assert trust(track.flags, (26, 27)).tolist() == [1.0] * 5 + [0.5] * 3 + [1.0] * 12
+
+
+def test_frames_without_a_person_are_lost(walker: Landmarks):
+    found = walker.found.clone()
+    found[3] = False
+    points = walker.points.clone()
+    points[3] = 0
+    track = clean(dataclasses.replace(walker, found=found, points=points), INTERVAL)
+    assert track.flags.lost[3].all()
+    assert (track.person.points[3] - walker.points[3]).norm(dim=-1).max() < 8
+
+
+def test_a_clip_without_anyone_is_no_error(walker: Landmarks):
+    nobody = dataclasses.replace(
+        walker, found=torch.zeros(FRAMES, dtype=torch.bool), points=0 * walker.points
+    )
+    assert clean(nobody, INTERVAL).flags.lost.all()

@@ -1,0 +1,53 @@
+import os
+import sys
+
+import numpy as np
+import pytest
+import torch
+from skimage.data import astronaut
+
+from deblur_avatar.body_estimation.landmarks import (
+    COUNT,
+    Landmarks,
+    detect_with_mediapipe,
+)
+
+NOSE, LEFT_SHOULDER, RIGHT_SHOULDER = 0, 11, 12
+
+
+@pytest.fixture(scope="module")
+def detected() -> Landmarks:
+    """A portrait, an empty picture, and the portrait again."""
+    pytest.importorskip("mediapipe", reason="mediapipe is not installed")
+    portrait = np.ascontiguousarray(astronaut()[::2, ::2])
+    frames = torch.from_numpy(np.stack([portrait, np.zeros_like(portrait), portrait]))
+    return detect_with_mediapipe(frames)
+
+
+def test_a_person_is_found_where_she_is(detected: Landmarks):
+    assert detected.points.shape == (3, COUNT, 2)
+    nose = detected.points[0, NOSE]
+    assert nose.tolist() == pytest.approx([112, 57], abs=8)
+    # She faces the camera: her left is on the right of the picture.
+    assert detected.points[0, LEFT_SHOULDER, 0] > detected.points[0, RIGHT_SHOULDER, 0] + 40
+
+
+def test_the_matte_covers_her_and_not_the_background(detected: Landmarks):
+    assert detected.mattes[0, 60, 112] > 200  # the face
+    assert detected.mattes[0, 20, 20] < 50  # the wall
+
+
+def test_a_frame_without_a_person_is_flagged_and_empty(detected: Landmarks):
+    assert detected.found.tolist() == [True, False, True]
+    assert detected.mattes[1].max() == 0
+    assert detected.points[1].abs().max() == 0
+    assert detected.visibility[1].max() == 0
+
+
+def test_the_library_is_kept_quiet_and_standard_error_comes_back(capfd: pytest.CaptureFixture[str]):
+    pytest.importorskip("mediapipe", reason="mediapipe is not installed")
+    detect_with_mediapipe(torch.zeros(1, 32, 32, 3, dtype=torch.uint8))
+    sys.stderr.write("ours\n")
+    os.write(2, b"the system's\n")
+    sys.stderr.flush()
+    assert capfd.readouterr().err == "ours\nthe system's\n"

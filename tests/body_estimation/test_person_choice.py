@@ -1,0 +1,63 @@
+import pytest
+import torch
+
+from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+from deblur_avatar.body_estimation.person_choice import detect_main_person
+
+FRAMES, HEIGHT, WIDTH = 10, 60, 120
+LEFT, RIGHT = slice(10, 30), slice(80, 100)
+
+
+def film(left: int, right: int, right_frames: int = FRAMES) -> torch.Tensor:
+    """Two white columns of so many pixels; the right one is there in some frames only."""
+    frames = torch.zeros(FRAMES, HEIGHT, WIDTH, 3, dtype=torch.uint8)
+    frames[:, HEIGHT - left :, LEFT] = 255
+    frames[:right_frames, HEIGHT - right :, RIGHT] = 255
+    return frames
+
+
+def leftmost(frames: torch.Tensor) -> Landmarks:
+    """Locks on to the leftmost thing that is white."""
+    found = torch.zeros(len(frames), dtype=torch.bool)
+    points = torch.zeros(len(frames), COUNT, 2)
+    for index, frame in enumerate(frames):
+        white = frame[..., 0] > 200
+        if white.any():
+            column = int(white.any(0).nonzero()[0])
+            part = white[:, column : column + 20]
+            top = int(part.any(1).nonzero()[0])
+            found[index] = True
+            points[index, :, 0] = torch.linspace(column, column + 19, COUNT)
+            points[index, :, 1] = torch.linspace(top, HEIGHT - 1, COUNT)
+    sure = found.float()[:, None].expand(-1, COUNT)
+    return Landmarks(found, points, sure, torch.zeros(frames.shape[:3], dtype=torch.uint8))
+
+
+def test_one_person_is_followed():
+    person, count = detect_main_person(film(40, 0), leftmost)
+    assert count == 1
+    assert person.found.all()
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "frames", "followed"),
+    [(40, 20, FRAMES, 10), (20, 40, FRAMES, 80), (20, 40, 4, 10)],
+    ids=["the larger first", "the larger second", "the larger leaves"],
+)
+def test_the_larger_longer_tracked_person_is_followed_and_said(
+    left, right, frames, followed, caplog: pytest.LogCaptureFixture
+):
+    person, count = detect_main_person(film(left, right, frames), leftmost)
+    assert count == 2
+    assert person.points[person.found][0, 0, 0] == followed
+    assert "two people" in caplog.text
+
+
+def test_nobody_is_nobody():
+    person, count = detect_main_person(film(0, 0), leftmost)
+    assert count == 0
+    assert not person.found.any()
+
+
+def test_someone_who_passes_by_is_no_second_person():
+    assert detect_main_person(film(30, 50, 1), leftmost)[1] == 1

@@ -1,0 +1,160 @@
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from deblur_avatar.cli import video as own_video
+from deblur_avatar.cli.video import name_of, prepare
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.sources.monocular import MonocularParams
+from tests.sources.small_videos import picture, write_video
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A repository with nothing but the two files that an avatar's folder is made from."""
+    for name in ("params.yaml", "dvc.yaml"):
+        shutil.copy(ROOT / name, tmp_path / name)
+    return tmp_path
+
+
+@pytest.fixture
+def video(root: Path) -> Path:
+    return write_video(root / "My Clip 2.mp4", [picture(index) for index in range(3)])
+
+
+def content(path: Path) -> dict:
+    return YAML(typ="safe", pure=True).load(path)
+
+
+def test_a_video_gets_a_folder_that_can_be_run(root: Path, video: Path):
+    folder = prepare(video, name_of(video), "lean", "medium", root)
+    assert folder == root / "avatars" / "my_clip_2"
+    clip = load_params(folder / "params.yaml", "scenes.my_clip_2.clip", ClipParams)
+    assert isinstance(clip, MonocularParams)
+    assert Path(clip.path) == video
+    stages = content(folder / "dvc.yaml")["stages"]
+    assert "body" not in stages  # the root's is used
+    assert "data/body/${item.body}" in stages["clip"]["do"]["deps"]
+    for stage in stages.values():
+        written = [
+            next(iter(o)) if isinstance(o, dict) else o for o in stage.get("do", stage)["outs"]
+        ]
+        assert all(path.startswith("avatars/my_clip_2/") for path in written)
+
+
+def test_what_the_user_changed_stays(root: Path, video: Path):
+    folder = prepare(video, "anna", "lean", "medium", root)
+    path = folder / "params.yaml"
+    path.write_text(path.read_text().replace("field_of_view: 60.0", "field_of_view: 75.0"))
+    prepare(video, "anna", "agnostic", "medium", root)
+    changed = content(path)
+    assert changed["scenes"]["anna"]["clip"]["field_of_view"] == 75.0
+    assert set(changed["runs"]) == {"anna-lean", "anna-agnostic"}
+    assert changed["runs"]["anna-lean"]["start"] == "lean"
+    assert changed["runs"]["anna-agnostic"]["start"] == "paper"
+    assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
+
+
+def test_one_name_is_one_video(root: Path, video: Path):
+    prepare(video, "anna", "lean", "medium", root)
+    other = write_video(root / "b.mp4", [picture(index) for index in range(3)])
+    with pytest.raises(ConfigError, match="choose another NAME"):
+        prepare(other, "anna", "lean", "medium", root)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: [", "is not YAML"),
+        ("\0", "is not YAML"),
+        ("", "the file has no key 'scenes', it has no keys"),
+        ("a: &a {b: *a}", "contains itself"),
+        ("scenes: {anna: 1}", "scenes.anna has no key 'clip'"),
+        ("scenes: {anna: {clip: {path: [1]}}}", r"scenes\.anna\.clip\.path: .*valid string"),
+        ('scenes: {anna: {clip: {path: "\\0"}}}\n%s', "choose another NAME"),
+        ('scenes: {anna: {clip: {path: "\\ud800"}}}\n%s', "choose another NAME"),
+        ("scenes: {anna: {clip: {path: x}}}\nruns: {}", "the file has no key 'warmups', it has"),
+        ("scenes: {anna: {clip: {path: x}}}\nwarmups: {}\nruns: 5", "runs: .*valid dictionary"),
+    ],
+)
+def test_a_damaged_file_of_an_avatar_is_named_and_stays(root, video, text, message):
+    text = text.replace("%s", "warmups: {}\nruns: {}\nanimations: {}")
+    path = root / "avatars/anna/params.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=f"avatars/anna/params.yaml.*{message}"):
+        prepare(video, "anna", "lean", "medium", root)
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("section", ["methods", "schedules", "starts"])
+def test_a_repositorys_damaged_parameters_are_named(root, video, section):
+    parameters = content(root / "params.yaml")
+    with (root / "params.yaml").open("w") as file:
+        YAML().dump(parameters | {section: None}, file)
+    with pytest.raises(ConfigError, match=rf"params\.yaml: {section}: .*valid dictionary"):
+        prepare(video, "anna", "lean", "medium", root)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"method": "magic"}, "no method 'magic', there is"),
+        ({"schedule": "eternal"}, "no schedule 'eternal', there is quick, brief, full"),
+        ({"name": "../up"}, "a name is small letters"),
+        ({"name": "2nd"}, "a name is small letters"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_is_written(
+    root: Path, video: Path, changes: dict[str, str], message: str
+):
+    asked = {"name": "anna", "method": "lean", "schedule": "medium"} | changes
+    with pytest.raises(ConfigError, match=message):
+        prepare(video, root=root, **asked)
+    assert not (root / "avatars").exists()
+
+
+def test_a_video_that_cannot_be_read_is_refused_before_anything_is_written(root: Path):
+    with pytest.raises(ConfigError, match=r"no video and no folder .*no\.mp4"):
+        prepare(root / "no.mp4", "anna", "lean", "medium", root)
+    (root / "empty.mp4").touch()
+    with pytest.raises(ArtifactError, match=r"empty\.mp4 cannot be decoded"):
+        prepare(root / "empty.mp4", "anna", "lean", "medium", root)
+    assert not (root / "avatars").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("clip.mp4", "clip"), ("2024-05-01.MOV", "v_2024_05_01"), ("Ä.mp4", "video")],
+)
+def test_a_file_s_name_becomes_the_avatar_s(file: str, name: str):
+    assert name_of(Path(file)) == name
+
+
+def test_the_check_comes_before_the_training(root, video, monkeypatch):
+    monkeypatch.chdir(root)
+    asked = []
+
+    def run(command, **_):
+        asked.append(command[-1].removeprefix("avatars/anna/dvc.yaml:"))
+        return subprocess.CompletedProcess(command, 3 if "evaluate" in command[-1] else 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert own_video.main(["--video", str(video), "--name", "anna"]) == 3
+    assert asked == ["check@anna", "animate@anna-lean", "evaluate@anna-lean"]
+
+
+def test_a_missing_video_is_one_clear_line(tmp_path: Path):
+    command = [sys.executable, "-m", "deblur_avatar.cli.video", "--video", "no.mp4"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("ConfigError: clip.path: no video")
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,154 @@
+"""The gsplat adapter: on a GPU against the kernel, elsewhere with a stand-in for gsplat."""
+
+import pytest
+import torch
+
+from deblur_avatar.rendering import cuda, rasterize
+from deblur_avatar.rendering.covariances import upper_triangles
+
+F64 = torch.float64
+
+
+def stand_in(
+    means, quats, scales, opacities, colors, viewmats, Ks, width, height, covars, **options
+):
+    """What gsplat 1.5.3 does with the arguments we give it, by way of the reference."""
+    assert quats is None
+    assert scales is None
+    assert options["packed"] is False
+    assert options["absgrad"] is True
+    B, N = means.shape[:2]
+    assert opacities.shape == (B, N)
+    assert colors.shape[:2] == (B, N)
+    assert viewmats.shape == (B, 1, 4, 4)
+    assert Ks.shape == (B, 1, 3, 3)
+    found = rasterize(
+        means,
+        upper_triangles(covars),  # it reads no more, and puts the gradient there
+        opacities[0],
+        colors[0],
+        viewmats[0, 0],
+        Ks[0, 0],
+        width,
+        height,
+        depth=True,
+        backend="reference",
+    )
+    pictures = found.image
+    if options["render_mode"] == "RGB+D":
+        pictures = torch.cat([pictures, found.depth[..., None]], -1)
+    # A point on the way to the means, where gradients of the centres can be told to pass by.
+    means2d = torch.zeros(B, 1, N, 2, dtype=means.dtype, requires_grad=True) * 1
+    means2d.absgrad = torch.full_like(means2d, 7.0)
+    pictures = pictures + (means2d[..., 0] * 3).sum()
+    radii = found.radii[:, None, :, None].expand(B, 1, N, 2)
+    return pictures[:, None], found.alpha[:, None, ..., None], {"means2d": means2d, "radii": radii}
+
+
+@pytest.fixture
+def on_the_cpu(monkeypatch):
+    monkeypatch.setattr(cuda, "_gsplat_rasterization", lambda: stand_in)
+    monkeypatch.setattr(cuda, "_check_place", lambda means: None)
+
+
+def through_adapter(scene):
+    tensors = {name: t.requires_grad_() for name, t in scene._tensors(F64).items()}
+    background = tensors.pop("background", None)
+    found = cuda.rasterize(
+        **tensors,
+        viewmat=scene.viewmat,
+        K=scene.K,
+        width=scene.width,
+        height=scene.height,
+        background=background,
+        average=scene.average,
+        depth=scene.depth,
+    )
+    return found, tensors | ({"background": background} if background is not None else {})
+
+
+@pytest.mark.parametrize("average", [False, True])
+@pytest.mark.parametrize("six", [False, True])
+def test_the_adapter_hands_everything_over_and_back(make_scene, on_the_cpu, average, six):
+    scene = make_scene(poses=3).but(average=average, depth=True)
+    if six:
+        scene = scene.but(covars=upper_triangles(scene.covars))
+    found, tensors = through_adapter(scene)
+    expected = scene.differentiate("reference", F64)
+    torch.testing.assert_close(found.image, expected["image"])
+    torch.testing.assert_close(found.alpha, expected["alpha"])
+    torch.testing.assert_close(found.depth, expected["depth"])
+    torch.testing.assert_close(found.radii.double(), expected["radii"])
+    generator = torch.Generator().manual_seed(99)
+    outputs = (found.image, found.alpha, found.depth)
+    pulls = [torch.randn(t.shape, generator=generator, dtype=F64) for t in outputs]
+    sum((t * pull).sum() for t, pull in zip(outputs, pulls, strict=True)).backward()
+    for name, tensor in tensors.items():
+        torch.testing.assert_close(tensor.grad, expected[f"{name} gradient"])
+
+
+def test_covariances_of_all_poses_may_be_shared(make_scene, on_the_cpu):
+    scene = make_scene(poses=3)
+    scene = scene.but(covars=scene.covars[0])
+    found, tensors = through_adapter(scene)
+    found.image.sum().backward()
+    assert tensors["covars"].grad.shape == scene.covars.shape
+    torch.testing.assert_close(found.image, scene.rasterize("reference").image)
+
+
+def test_screen_statistics_hold_nothing_where_nothing_is_seen(make_scene, on_the_cpu):
+    scene = make_scene(poses=2)
+    means = scene.means.clone()
+    means[:, ::2, 2] -= 6
+    found, _ = through_adapter(scene.but(means=means))
+    found.image.sum().backward()
+    seen = found.radii > 0
+    assert seen.any()
+    assert (found.screen.means2d_absgrad[seen] == 7).all()
+    assert (found.screen.means2d_absgrad[~seen] == 0).all()
+    assert (found.screen.means2d_grad[~seen] == 0).all()
+    assert (found.screen.means2d_grad[seen][:, 0] > 0).all()
+
+
+def test_what_is_not_finite_is_refused_by_name(make_scene, on_the_cpu):
+    scene = make_scene()
+    with pytest.raises(ValueError, match="colors must be finite"):
+        through_adapter(scene.but(colors=scene.colors * float("nan")))
+
+
+def test_tensors_elsewhere_are_refused(make_scene):
+    with pytest.raises(ValueError, match="on a GPU, got torch.float32 on cpu"):
+        make_scene().rasterize("cuda", torch.float32)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+@pytest.mark.parametrize("poses", [1, 5])
+@pytest.mark.parametrize("average", [False, True])
+def test_on_a_gpu_picture_and_gradients_are_the_references(
+    make_scene, assert_agree, poses, average
+):
+    pytest.importorskip("gsplat", reason="gsplat is not installed")
+    scene = make_scene(poses=poses, gaussians=2000).but(average=average, depth=True)
+    here = {name: t.cuda() for name, t in scene._tensors(torch.float32).items()}
+    moved = scene.but(**here, viewmat=scene.viewmat.cuda(), K=scene.K.cuda())
+    generator = torch.Generator().manual_seed(99)
+
+    def pulls(*tensors):
+        return [torch.randn(t.shape, generator=generator, dtype=F64) for t in tensors]
+
+    tensors = {name: t.requires_grad_() for name, t in moved._tensors(torch.float32).items()}
+    found = moved._call("cuda", tensors)
+    outputs = {"image": found.image, "alpha": found.alpha, "depth": found.depth}
+    amounts = pulls(*outputs.values())
+    sum(
+        (t * pull.to(t)).sum() for t, pull in zip(outputs.values(), amounts, strict=True)
+    ).backward()
+    outputs |= {f"{name} gradient": t.grad for name, t in tensors.items()}
+    outputs["means2d gradient"] = found.screen.means2d_grad
+    outputs["means2d absolute gradient"] = found.screen.means2d_absgrad
+    outputs["radii"] = found.radii
+    assert_agree(
+        {name: t.detach().double().cpu() for name, t in outputs.items()},
+        scene.differentiate("reference", F64),
+    )

@@ -1,0 +1,146 @@
+"""Rules can fail, and say why."""
+
+from typing import Any
+
+import pytest
+
+from benchmarks.stress.params import ModeParams, SeverityParams
+from benchmarks.stress.rules import (
+    RULES,
+    Case,
+    Check,
+    judge,
+)
+from deblur_avatar.config.reading import load_params
+from tests.structure.import_closure import ROOT
+
+FINE = {
+    "finite": True, "score": 17.5, "psnr": 25.5, "psnr_limbs": 18.0, "psnr_torso": 17.5,
+    "score_novel_pose": 17.0, "area_error": -0.02, "joint_error_mm": 10.0, "virtual_poses": 1.0,
+    "initial_joint_error_mm": 16.0, "travel_error_mm": 8.0, "direction_accuracy": 1.0,
+    "gaussians": 1800, "mean_scale_mm": 23.5, "stretch": 1.1, "seconds": 2.0, "digest": "a",
+    "given_exposure_s": 0.1, "shutter_s": 0.1, "knots": 4, "hidden": 0.34, "flags": [],
+    "warnings": [],
+}  # fmt: skip
+AGNOSTIC = {**FINE, "score": 16.0, "psnr": 24.0, "psnr_limbs": 15.0, "score_novel_pose": 15.5,
+         "travel_error_mm": 134.0}  # fmt: skip
+CEILING = {**FINE, "score": 18.0, "mean_scale_mm": 23.0}
+
+
+def case(
+    row: dict[str, Any], damage: dict[str, float] | None = None, method: str = "lean", **other: Any
+) -> Case:
+    severity = SeverityParams(scene="turn", damage=damage or {}, fit=other.pop("fit", {}))
+    before = tuple(other.pop("before", ()))
+    return Case(method, severity, {**FINE, **row}, AGNOSTIC, CEILING, FINE, before)
+
+
+def test_recovery_is_told_against_ceiling_and_oracle():
+    agnostic = {**AGNOSTIC, "flip_seen": 0.5, "oracle": {"score": 17.0, "flip_seen": 0.3}}
+    severity = SeverityParams(scene="turn", damage={}, fit={})
+    row = {**FINE, "flip_seen": 0.35}
+    told = judge("overlap", Case("lean", severity, row, agnostic, CEILING, FINE, ()))
+    values = {check.what: check.value for check in told}
+    assert values["recovery"] == pytest.approx(0.75)
+    assert values["recovery against the oracle"] == pytest.approx(1.5)
+    assert values["recovery of FLIP against the oracle"] == pytest.approx(0.75)
+
+
+def passes(mode: str, given: Case) -> bool:
+    return all(check.passed for check in judge(mode, given))
+
+
+REFUSED = {"refused": "ArtifactError: no", "finite": None, "score": None}
+# mode, damage, what passes, what does not
+TOLD = [
+    ("large_blur", {}, {}, {"score": 15.8}),
+    ("overlap", {}, {}, {"score": 15.9}),
+    ("gaps", {}, {}, {"travel_error_mm": 150.0}),
+    ("fast_limbs", {"exact_poses": 0.0}, {}, {"psnr_limbs": 15.5}),
+    ("fast_limbs", {"exact_poses": 0.0}, {}, {"psnr_torso": 17.0}),
+    ("self_occlusion", {}, {}, {"psnr_torso": 17.0}),
+    ("loose_cloth", {}, {}, {"psnr_limbs": 14.0}),
+    ("noise_iid", {"noise_iid_degrees": 6.0}, {}, {"joint_error_mm": 17.0}),
+    ("noise_iid", {"noise_iid_degrees": 20.0}, {"flags": ["speed_ratio"]}, {}),
+    ("noise_correlated", {"noise_correlated_degrees": 0.0}, {}, {"joint_error_mm": 11.0}),
+    ("root_noise", {"root_noise_cm": 5.0}, {}, {"joint_error_mm": 17.0}),
+    ("missing_poses", {"no_poses": 0.0}, REFUSED, {}),
+    ("missing_poses", {"missing_poses_share": 0.3}, {}, REFUSED),
+    ("few_frames", {"first_frames": 4.0}, {}, {"knots": 9}),
+    ("narrow_view", {}, {"hidden": 0.5}, {}),
+    ("masks_dilated", {"masks_dilated_px": 1.0}, {}, {"score": 16.9}),
+    ("masks_dilated", {"masks_dilated_px": 4.0}, {"score": 16.9}, {"score": 15.9}),
+    ("masks_eroded", {"masks_eroded_px": 1.0}, {}, {"score": 16.9}),
+    ("masks_holes", {"masks_holes_share": 0.05}, {}, {"score": 16.9}),
+    ("masks_swapped", {"masks_swapped": 3.0}, {}, {"score": 16.9}),
+    ("mask_binary", {"masks_above": 0.0}, {}, {"area_error": 0.2}),
+    ("masks_empty", {"masks_all_black": 0.0}, REFUSED, {}),
+    ("masks_empty", {"masks_black": 1.0}, {"warnings": ["1 frames without a person"]}, {}),
+    ("wrong_shutter", {"shutter_times": 2.0}, {}, {"score": 15.8}),
+    ("reversal_sine", {}, {}, {"psnr_limbs": 14.9}),
+    ("reversal_triangle", {}, {}, {"score": 15.9}),
+    ("direction", {}, {}, {"direction_accuracy": 0.9}),
+    ("direction", {"first_frames": 1.0}, {"direction_accuracy": None}, {}),
+    ("zero_velocity", {}, {}, {"travel_error_mm": 120.0}),
+    ("zero_motion", {}, {}, {"virtual_poses": 5.0}),
+    ("gain_ramp", {"gain_ramp_stops": 1.0}, {}, {"score": 16.4}),
+    ("flicker", {"flicker_share": 0.2}, {}, {"joint_error_mm": 13.0}),
+    ("light_mismatch", {}, {}, {"score": 15.8}),
+    ("clipping", {"clipped_at": 180.0}, {}, {"score": 16.4}),
+    ("extreme_pose", {}, {}, {"stretch": 5.1}),
+    ("degenerate_cameras", {"zero_focal": 0.0}, REFUSED, {}),
+    ("bad_numbers", {"nan_pose_frame": 5.0}, REFUSED, {}),
+    ("needles", {}, {}, {"finite": False}),
+    ("overtraining", {}, {}, {"score": 17.3}),
+    ("absorbed", {}, {}, {"mean_scale_mm": 26.0}),
+    ("seeds", {}, {}, {"score": 15.9}),
+]
+
+
+@pytest.mark.parametrize(("mode", "damage", "good", "bad"), TOLD)
+def test_a_rule_tells_good_from_bad(mode, damage, good, bad):
+    assert passes(mode, case(good, damage))
+    assert not passes(mode, case(bad, damage))
+
+
+def test_every_rule_is_seen_to_fail_and_every_mode_has_one():
+    assert {mode for mode, *_ in TOLD} == set(RULES)
+    assert set(RULES) == set(
+        load_params(ROOT / "stability/params.yaml", "modes", dict[str, ModeParams])
+    )
+
+
+def test_a_crash_fails_whatever_else_was_asked():
+    assert not passes("bad_numbers", case({"crashed": "IndexError: 3", **REFUSED}))
+
+
+def test_blind_is_held_to_limits_of_its_own():
+    assert passes("overlap", case({"score": 15.0}, method="agnostic"))
+    assert not passes("overlap", case({"score": 14.0}, method="agnostic"))
+
+
+def test_virtual_poses_must_grow_with_blur():
+    few = [{**FINE, "virtual_poses": 3.0, "score": 18.0}]
+    assert passes("large_blur", case({"virtual_poses": 6.0}, before=few))
+    assert not passes("large_blur", case({"virtual_poses": 3.0}, before=few))
+
+
+def test_an_estimated_shutter_is_compared_with_the_true_one():
+    wrong = {"given_exposure_s": 0.2, "shutter_s": 0.11}
+    fit = {"estimated_shutter": 1.0}
+    assert passes("wrong_shutter", case(wrong, {"shutter_times": 2.0}, fit=fit))
+    assert not passes(
+        "wrong_shutter", case(wrong | {"shutter_s": 0.2}, {"shutter_times": 2.0}, fit=fit)
+    )
+
+
+def test_the_same_seed_must_give_the_same_bytes():
+    assert not passes("seeds", case({"digest": "b"}, before=[FINE]))
+    assert passes("seeds", case({"digest": "b"}, before=[FINE], fit={"seed": 1.0}))
+
+
+@pytest.mark.parametrize("value", [None, float("nan"), 2.0])
+def test_what_was_not_measured_breaks_a_limit(value):
+    check = Check("growth", value, most=1.0)
+    assert not check.passed
+    assert check.sentence.endswith("wanted at most 1.00")

@@ -1,0 +1,73 @@
+import pytest
+import torch
+
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import parse
+from deblur_avatar.motion.clip import ClipMotion
+from deblur_avatar.motion.params import TrajectoryParams
+from deblur_avatar.motion.trajectory import FrameMotion, instants
+from deblur_avatar.training.virtual_poses import choose_counts, farthest_travel
+
+
+def along(seen: Observations, exposure: float = 1 / 60) -> ClipMotion:
+    u = instants(5, "midpoints")
+    return ClipMotion.near(seen.poses, u, seen.timestamps, exposure, 1 / 60, 0.0)
+
+
+@pytest.fixture
+def params(tiny_content):
+    content = tiny_content["methods"]["lean"]["trajectory"]
+
+    def make(**changes) -> TrajectoryParams:
+        return parse(TrajectoryParams, content | changes, "trajectory")
+
+    return make
+
+
+def test_travel_is_that_of_the_joint_that_gets_farthest(make_observations):
+    # The left hand is about 0.5 m from the shoulder that turns by 12 degrees a frame; 1.6 * 24 px
+    # at 4 m make 9.6 px a metre.
+    seen = make_observations(frames=9, degrees=12.0)
+    travel = farthest_travel(along(seen), seen)
+    hand = 9.6 * 0.209 * 0.5
+    assert travel.shape == (9,)
+    assert 0.7 * hand < float(travel[4]) < 1.4 * hand
+
+
+def test_travel_grows_with_the_exposure_and_is_nothing_for_a_still_body(make_observations):
+    seen = make_observations(frames=9, degrees=12.0)
+    short, long = (farthest_travel(along(seen, share / 60), seen)[4] for share in (0.5, 1.0))
+    assert float(long) == pytest.approx(2 * float(short), rel=0.05)
+    still = FrameMotion(seen.poses, refined=False)
+    assert farthest_travel(still, seen).tolist() == [0.0] * 9
+
+
+def test_a_joint_that_goes_there_and_back_has_travelled(make_observations):
+    seen = make_observations(frames=9, degrees=0.0)
+    motion = along(seen)
+    knots = motion.transl.data
+    knots[:, 1] += 0.1 * (torch.arange(len(knots)) % 2)
+    assert float(farthest_travel(motion, seen)[4]) > 0
+
+
+def test_counts_follow_travel_between_one_and_the_most(make_observations, params):
+    seen = make_observations(frames=9, degrees=12.0)
+    motion = along(seen)
+    travel = farthest_travel(motion, seen)
+    step = float(travel[4]) / 2.5
+    choose_counts(motion, seen, params(pixels_per_pose=step, virtual_poses=9))
+    assert int(motion.counts(9)[4]) == 3
+    choose_counts(motion, seen, params(pixels_per_pose=step, virtual_poses=2))
+    assert int(motion.counts(9).max()) == 2
+    choose_counts(motion, seen, params(pixels_per_pose=1e6, virtual_poses=9))
+    assert motion.counts(9).tolist() == [1] * 9
+
+
+def test_without_a_step_every_exposure_has_all_poses(make_observations, params):
+    seen = make_observations(frames=9, degrees=12.0)
+    motion = along(seen)
+    choose_counts(motion, seen, params(pixels_per_pose=0.0, virtual_poses=5))
+    assert motion.counts(9).tolist() == [5] * 9
+    frame = FrameMotion(seen.poses, refined=True)
+    choose_counts(frame, seen, params(pixels_per_pose=1.0, virtual_poses=5))
+    assert frame.counts(9).tolist() == [1] * 9
