@@ -4,6 +4,7 @@
 """
 
 import ctypes
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -155,85 +156,35 @@ class _Rasterize(torch.autograd.Function):
         screen: ScreenStatistics,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         native = kernel()
-        keep = any(ctx.needs_input_grad)
-        B, N, C = len(means), means.shape[1], colors.shape[1]
-        values = C + depth
-        tiles_x = -(-width // native.tile_width)
-        tiles_y = -(-height // native.tile_height)
-        tiles = tiles_x * tiles_y
-        if max(tiles_x, tiles_y) >= 2**15 or N >= 2**31 or B * tiles >= 2**31:
-            raise ValueError(f"too much for the cpu backend: {B} x {N} Gaussians, {width}x{height}")
-        threads = torch.get_num_threads()
-        # Some chunks a thread even out their work; each needs a counter per tile.
-        shift = max((max(N, 1) * B // (4 * threads)).bit_length(), 8)
-        chunks = max(-(-N // 2**shift), 1)
-
-        means, covars = means.contiguous(), covars.contiguous()
-        opacities, colors = opacities.contiguous(), colors.contiguous()
         inputs: dict[str, Tensor | None] = {
-            **{"means": means, "covars": covars, "opacities": opacities, "colors": colors},
-            **{"viewmat": viewmat.contiguous(), "K": K.contiguous()},
+            "means": means.contiguous(),
+            "covars": covars.contiguous(),
+            "opacities": opacities.contiguous(),
+            "colors": colors.contiguous(),
+            "viewmat": viewmat.contiguous(),
+            "K": K.contiguous(),
+            "background": background.contiguous() if background is not None else None,
         }
-        inputs["background"] = background.contiguous() if background is not None else None
         if background is not None and not bool(torch.isfinite(background).all()):
             raise ValueError(not_finite("background"))
+        options = {"average": average, "depth": depth, "keep": any(ctx.needs_input_grad)}
+        frame = _frame(native, inputs, width, height, options)
+        work = _project(native, frame, inputs)
 
-        columns = 6 if covars.shape[-1] == 6 else 9
-        frame = Frame(
-            poses=B,
-            gaussians=N,
-            channels=C,
-            width=width,
-            height=height,
-            covar_columns=columns,
-            covars_shared=covars.ndim < (3 if columns == 6 else 4),
-            average=average,
-            depth=depth,
-            keep=keep,
-            threads=threads,
-            chunks=chunks,
-            chunk_shift=shift,
-            tiles_x=tiles_x,
-            tiles_y=tiles_y,
-        )
-        work = {
-            "records": _bytes(64 * B * N),
-            "placements": _bytes(16 * B * N),
-            "radii": _int32(B, N),
-            "histogram": _int32(B, chunks, tiles),
-            "tile_start": _int32(B, tiles + 1),
-            "chunk_slot": _int32(B, chunks + 1),
-            "busy_index": _int32(B, tiles),
-            "busy_start": _int32(B + 1),
-        }
-        frame.point(**inputs, **work)
-        if problem := native.project(frame):
-            if problem == _TOO_MANY_PAIRS:
-                raise ValueError(f"{B} x {N} Gaussians meet too many tiles; render fewer at once")
-            raise ValueError(next(not_finite(n) for bit, n in _NOT_FINITE.items() if problem & bit))
-
-        pictures = 1 if average else B
-        image = means.new_empty(pictures, height, width, C)
+        pictures = 1 if average else frame.poses
+        image = means.new_empty(pictures, height, width, frame.channels)
         alpha = means.new_empty(pictures, height, width)
         depths = means.new_empty(pictures, height, width) if depth else means.new_empty(0)
-        work["sorted"] = _int32(frame.pairs)
-        if keep:
-            work |= {
-                "busy_tiles": _int32(frame.busy),
-                "composited": _int32(frame.busy),
-                "visits": _bytes(
-                    native.visits_bytes * (frame.pairs // native.visits_group + frame.busy)
-                ),
-                "states": means.new_empty(native.states_floats[values] * frame.busy),
-            }
+        work |= _compositing_work(native, frame, means)
         unsorted = _bytes(2 * 8 * frame.pairs)
         frame.point(**work, unsorted=unsorted, image=image, alpha=alpha, depths=depths)
         native.forward(frame)
 
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(work["radii"])
-        if keep:
-            ctx.save_for_backward(means, covars, opacities, colors, background, alpha)
+        if frame.keep:
+            tensors = (inputs[name] for name in ("means", "covars", "opacities", "colors"))
+            ctx.save_for_backward(*tensors, background, alpha)
             ctx.frame, ctx.screen = frame, screen
             ctx.inputs, ctx.work = (inputs["viewmat"], inputs["K"]), work
         return image, alpha, depths, work["radii"]
@@ -273,6 +224,84 @@ class _Rasterize(torch.autograd.Function):
             native.backward_background(frame)
         ctx.screen.add(grad, absgrad)
         return (*made.values(), background_grad, *(None,) * 7)
+
+
+def _frame(
+    native: Kernel,
+    inputs: Mapping[str, Tensor | None],
+    width: int,
+    height: int,
+    options: Mapping[str, bool],
+) -> Frame:
+    """Sizes of one call: pictures, tiles, and how the work is cut for threads."""
+    means, covars, colors = inputs["means"], inputs["covars"], inputs["colors"]
+    assert means is not None
+    assert covars is not None
+    assert colors is not None
+    B, N = len(means), means.shape[1]
+    tiles_x = -(-width // native.tile_width)
+    tiles_y = -(-height // native.tile_height)
+    if max(tiles_x, tiles_y) >= 2**15 or N >= 2**31 or B * tiles_x * tiles_y >= 2**31:
+        raise ValueError(f"too much for the cpu backend: {B} x {N} Gaussians, {width}x{height}")
+    threads = torch.get_num_threads()
+    # Some chunks a thread even out their work; each needs a counter per tile.
+    shift = max((max(N, 1) * B // (4 * threads)).bit_length(), 8)
+    columns = 6 if covars.shape[-1] == 6 else 9
+    return Frame(
+        poses=B,
+        gaussians=N,
+        channels=colors.shape[1],
+        width=width,
+        height=height,
+        covar_columns=columns,
+        covars_shared=covars.ndim < (3 if columns == 6 else 4),
+        threads=threads,
+        chunks=max(-(-N // 2**shift), 1),
+        chunk_shift=shift,
+        tiles_x=tiles_x,
+        tiles_y=tiles_y,
+        **options,
+    )
+
+
+def _project(
+    native: Kernel, frame: Frame, inputs: Mapping[str, Tensor | None]
+) -> dict[str, Tensor]:
+    """Project all Gaussians and count the tiles they meet; returns what the kernel noted."""
+    B, N = frame.poses, frame.gaussians
+    tiles = frame.tiles_x * frame.tiles_y
+    work = {
+        "records": _bytes(64 * B * N),
+        "placements": _bytes(16 * B * N),
+        "radii": _int32(B, N),
+        "histogram": _int32(B, frame.chunks, tiles),
+        "tile_start": _int32(B, tiles + 1),
+        "chunk_slot": _int32(B, frame.chunks + 1),
+        "busy_index": _int32(B, tiles),
+        "busy_start": _int32(B + 1),
+    }
+    frame.point(**inputs, **work)
+    if problem := native.project(frame):
+        if problem == _TOO_MANY_PAIRS:
+            raise ValueError(f"{B} x {N} Gaussians meet too many tiles; render fewer at once")
+        raise ValueError(next(not_finite(n) for bit, n in _NOT_FINITE.items() if problem & bit))
+    return work
+
+
+def _compositing_work(native: Kernel, frame: Frame, means: Tensor) -> dict[str, Tensor]:
+    """Memory for sorting and compositing; what the backward pass reads only where it is kept."""
+    work = {"sorted": _int32(frame.pairs)}
+    if frame.keep:
+        visits = frame.pairs // native.visits_group + frame.busy
+        work |= {
+            "busy_tiles": _int32(frame.busy),
+            "composited": _int32(frame.busy),
+            "visits": _bytes(native.visits_bytes * visits),
+            "states": means.new_empty(
+                native.states_floats[frame.channels + frame.depth] * frame.busy
+            ),
+        }
+    return work
 
 
 def _bytes(count: int) -> Tensor:

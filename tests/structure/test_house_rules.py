@@ -1,0 +1,74 @@
+"""The house style's rules that a machine can check: sizes, and words that have a better one."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MAX_MODULE, MAX_FUNCTION = 400, 60  # lines
+CODE = [
+    path
+    for folder in ("deblur_avatar", "stages", "benchmarks")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+]
+PARAMETERS = [ROOT / "params.yaml", *sorted((ROOT / "experiments").rglob("params.yaml"))]
+# Private words as names in code, and the field's word for each.
+WORDS = {
+    "blind": "agnostic",
+    "isotropy": "isometry",
+    "dressed": "frame_state",
+    "endure": "run_mode",
+    "see_with_one_eye": "apply_monocular_prior",
+    "look_up_again": "invalidate_neighbours",
+    "unevenness": "knn_smoothness",
+    "even_colors": "smooth_colors",
+    "even_shapes": "smooth_shapes",
+    "even_heights": "smooth_heights",
+    "explained_frames": "held_out_blur",
+    "own_motion": "captured_motion",
+    "own_video": "from_video",
+    "feet_of": "closest_points",
+    "lend": "fill_untrained_latents",
+    "so-manieth": "n-th",
+}
+PATH_WORDS = {"utils", "util", "helpers", "helper", "common", "misc", "base", "manager"}
+
+
+def _id(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", CODE, ids=_id)
+def test_a_module_is_one_idea_in_at_most_400_lines(path: Path) -> None:
+    assert len(path.read_text().splitlines()) <= MAX_MODULE
+
+
+def test_functions_have_at_most_60_lines() -> None:
+    long = [
+        f"{_id(path)}:{node.lineno} {node.name} {node.end_lineno - node.lineno + 1}"
+        for path in CODE
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or 0) - node.lineno + 1 > MAX_FUNCTION
+    ]
+    assert not long
+
+
+def test_private_words_are_gone_from_code_and_parameters() -> None:
+    words = re.compile("|".join(rf"(?<![\w]){re.escape(word)}(?![\w])" for word in WORDS))
+    places = [
+        f"{_id(path)}: {match[0]} is {WORDS[match[0]]}"
+        for path in [
+            *CODE,
+            *sorted((ROOT / "experiments").rglob("params.yaml")),
+            ROOT / "params.yaml",
+        ]
+        for match in words.finditer(path.read_text())
+    ]
+    assert not places
+
+
+def test_no_path_is_named_after_a_purpose() -> None:
+    assert not [path for path in CODE if PATH_WORDS & set(path.with_suffix("").parts)]
