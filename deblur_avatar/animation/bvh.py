@@ -2,7 +2,7 @@
 
 Conventions. Angles are in degrees and multiply in the order in which a joint's channels are listed,
 the first outermost; a position channel replaces that component of the root's offset, those of other
-joints are ignored. Axes and unit of length are the file's own: `avatar/retargeting.py` finds the
+joints are ignored. Axes and unit of length are the file's own: `animation/retargeting.py` finds the
 former and is indifferent to the latter.
 """
 

@@ -131,7 +131,7 @@ def test_dvc_draws_the_charts(studio, tmp_path):
     for template, found in rows.items():
         name = template.replace(".vl.json", ".json")
         (tmp_path / name).write_text(json.dumps(found))
-        template_file = ROOT / "deblur_avatar/pipeline" / template
+        template_file = ROOT / "deblur_avatar/reporting" / template
         shown = dvc(
             "plots", "show", name, "-t", str(template_file), "-x", "training_s", "-y", "psnr_db",
             "--show-vega",
