@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: setup repro avatar check stability test fuzz bench deps readme clean-cache
+.PHONY: setup repro avatar check stability test fuzz bench code readme clean-cache
 
 setup: $(STAMP)
 
@@ -21,25 +21,25 @@ $(STAMP): pyproject.toml constraints.txt
 	  anny roma mediapipe
 	@touch $(STAMP)
 
-repro: $(STAMP)
+repro: code
 	$(BIN)/python -m deblur_avatar.cli.reproduce
 
 # From a video (or a folder of pictures) to an avatar: make avatar VIDEO=clip.mp4 [NAME=...] [METHOD=lean]
 # [SCHEDULE=medium]
-avatar: $(STAMP)
+avatar: code
 	$(if $(VIDEO),,$(error make avatar needs a video: make avatar VIDEO=clip.mp4))
 	$(BIN)/python -m deblur_avatar.cli.video --video "$(VIDEO)" --name "$(NAME)" \
 	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),medium)
 
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
-check: $(STAMP)
+check: code
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/dvc repro check$(if $(SCENE),@$(SCENE))
 
 # Where methods fail, on small scenes with known truth: stability/reports/index.html. Scenes first, then two methods
 # at a time.
 stability: export PATH := $(CURDIR)/$(BIN):$(PATH)
 stability: export OMP_NUM_THREADS := 1
-stability: $(STAMP)
+stability: code
 	dvc repro stability/dvc.yaml:stability_scene
 	printf '%s\n' lean paper agnostic | xargs -P 2 -I{} dvc --wait-for-lock repro -s stability/{}/dvc.yaml
 	dvc repro -s stability/dvc.yaml:stability_report
@@ -58,10 +58,10 @@ fuzz: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.rasterizer
 
-# Writes into dvc.yaml which code each stage runs, and the pipelines of experiments after it; tests
-# compare.
-deps: $(STAMP)
-	$(BIN)/python -m tests.structure.import_closure --write
+# Refreshes the fingerprints of all code (code.json) and the copies of dvc.yaml. `dvc repro` refreshes fingerprints by
+# itself, `dvc repro --dry` and `dvc status` do not.
+code: $(STAMP)
+	$(BIN)/python -m deblur_avatar.pipeline.code
 
 # Copies reports/table.md into README.md; a test compares.
 readme: $(STAMP)

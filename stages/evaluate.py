@@ -8,18 +8,15 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.config.runs import RunParams
-from deblur_avatar.evaluation.costs import read_costs
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.reporting.evaluation_pictures import draw_pictures
 
 
 def main(
-    scene: str, method: str, observations: Path, reference: Path, fusion: Path, costs: Path,
-    out: Path, metrics: Path, params_file: Path,
+    scene: str, method: str, observations: Path, reference: Path, fusion: Path, out: Path,
+    metrics: Path, cost: Path, params_file: Path,
 ) -> None:  # fmt: skip
-    """Measure one method on one scene; `costs` holds what the fitting stages measured."""
-    params = load_params(params_file, f"runs.{scene}-{method}", RunParams)
+    """Measure one method on one scene; how fast it renders is written to `cost`."""
     schedule = load_params(params_file, "schedule", str)
     seed = load_params(params_file, "seed", int)
     with run.stage("evaluate", f"{scene}-{method}", seed) as context:
@@ -30,13 +27,13 @@ def main(
         pictures = draw_pictures(evaluation.comparisons, seen, avatar, motion, context.device)
         pictures.save(out)
         content = {"scene": scene, "method": method, **evaluation.metrics}
-        content["cost"] = {**read_costs(costs, params), "render_fps": evaluation.render_fps}
         content["run"] = {
             "seed": seed, "device": context.device.type, "schedule": schedule,
             "iterations": avatar.iteration,
         }  # fmt: skip
         run.write_json(out / "views.json", pictures.index)
         run.write_json(metrics, content)
+        run.write_json(cost, {"render_fps": evaluation.render_fps})
 
 
 if __name__ == "__main__":

@@ -15,14 +15,14 @@ from deblur_avatar.training.params import FusionParams, StartParams
 
 def main(
     start: str, method: str, observations: Path, trajectory: Path, out: Path, metrics: Path,
-    params_file: Path,
+    cost: Path, params_file: Path,
 ) -> None:  # fmt: skip
     """Finish the avatar and its motion."""
     begun = load_params(params_file, f"starts.{start}", StartParams)
     params = load_params(params_file, f"methods.{method}.fusion", FusionParams)
     inputs = [observations, trajectory]
     with fitting_stage("fusion", out, params_file, [begun, params], inputs) as stage:
-        avatar, motion, cost = fuse(
+        avatar, motion, measured = fuse(
             Observations.load(observations),
             Avatar.load(trajectory / "avatar"),
             Motion.load(trajectory / "motion"),
@@ -32,7 +32,7 @@ def main(
         )  # fmt: skip
         avatar.save(out / "avatar")
         motion.save(out / "motion")
-        stage.finish(metrics, cost)
+        stage.finish(metrics, cost, measured)
 
 
 if __name__ == "__main__":

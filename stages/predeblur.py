@@ -5,21 +5,18 @@ from pathlib import Path
 from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.pipeline.predeblur import PredeblurParams, measure_predeblur, predeblur
+from deblur_avatar.pipeline.predeblur import PredeblurParams, predeblur
 
 
-def main(
-    scene: str, observations: Path, sharp: Path, out: Path, metrics: Path, params_file: Path
-) -> None:
-    """Turn blurred observations into deblurred ones; the sharp ones only measure the result."""
+def main(scene: str, observations: Path, out: Path, metrics: Path, params_file: Path) -> None:
+    """Turn blurred observations into deblurred ones; `metrics` says by which method."""
     params = load_params(params_file, f"predeblur.{scene}", PredeblurParams)
     seed = load_params(params_file, "seed", int)
 
     with run.stage("predeblur", scene, seed):
-        blurred = Observations.load(observations)
-        deblurred, used = predeblur(blurred, params)
+        deblurred, used = predeblur(Observations.load(observations), params)
         deblurred.save(out)
-        run.write_json(metrics, used | measure_predeblur(deblurred, blurred, sharp))
+        run.write_json(metrics, used)
 
 
 if __name__ == "__main__":

@@ -5,15 +5,18 @@ from pathlib import Path
 
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.config.runs import RunParams
 from deblur_avatar.pipeline.report import make_report
 
 logger = logging.getLogger(__name__)
 
 
 def main(metrics: Path, pictures: Path, animations: Path, out: Path, params_file: Path) -> None:
-    """Write `<out>/index.html`, `summary.json`, `table.md`, the chart and a strip of pictures."""
+    """Write `<out>/index.html`, `summary.json`, `table.md`, the charts and a strip of pictures."""
+    runs = load_params(params_file, "runs", dict[str, RunParams])
+    animated = load_params(params_file, "animations", dict)
     with run.stage("report", out.name, load_params(params_file, "seed", int)):
-        report = make_report(metrics, pictures, animations)
+        report = make_report(runs, animated, metrics, pictures, animations)
         report.save(out)
         logger.info("%s", report.log)
         logger.info("The report: %s", out / "index.html")

@@ -1,4 +1,4 @@
-"""Stage `timeline`: what each second of training bought, from the avatars kept on the way."""
+"""Stage `timeline`: the learning curve of one run, from the avatars kept on the way."""
 
 from pathlib import Path
 
@@ -6,24 +6,20 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.config.runs import RunParams
 from deblur_avatar.pipeline.timeline import timeline
 
 
 def main(
     scene: str, method: str, observations: Path, reference: Path, warmup: Path, trajectory: Path,
-    fusion: Path, costs: Path, metrics: Path, params_file: Path,
+    fusion: Path, metrics: Path, params_file: Path,
 ) -> None:  # fmt: skip
-    """Score all snapshots of one run; `costs` holds when they were taken."""
-    params = load_params(params_file, f"runs.{scene}-{method}", RunParams)
+    """Score all snapshots of one run."""
     seed = load_params(params_file, "seed", int)
     with run.stage("timeline", f"{scene}-{method}", seed) as context:
         content = timeline(
             Observations.load(observations),
             Reference.load(reference),
             {"warmup": warmup, "trajectory": trajectory, "fusion": fusion},
-            costs,
-            params,
             context.device,
         )
         run.write_json(metrics, {"scene": scene, "method": method, **content})

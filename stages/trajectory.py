@@ -15,14 +15,14 @@ from deblur_avatar.training.params import StartParams
 
 def main(
     start: str, method: str, observations: Path, warmup: Path, out: Path, metrics: Path,
-    params_file: Path,
+    cost: Path, params_file: Path,
 ) -> None:  # fmt: skip
     """Fit the avatar and its motion to the blurred frames."""
     begun = load_params(params_file, f"starts.{start}", StartParams)
     params = load_params(params_file, f"methods.{method}.trajectory", TrajectoryParams)
     inputs = [observations, warmup]
     with fitting_stage("trajectory", out, params_file, [begun, params], inputs) as stage:
-        avatar, motion, checkpoint, cost = fit_trajectory(
+        avatar, motion, checkpoint, measured = fit_trajectory(
             Observations.load(observations),
             Avatar.load(warmup / "avatar"),
             Checkpoint.load(warmup / "checkpoint"),
@@ -32,7 +32,7 @@ def main(
         avatar.save(out / "avatar")
         motion.save(out / "motion")
         checkpoint.save(out / "checkpoint")
-        stage.finish(metrics, cost)
+        stage.finish(metrics, cost, measured)
 
 
 if __name__ == "__main__":

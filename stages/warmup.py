@@ -10,11 +10,13 @@ from deblur_avatar.training.fitting_stage import fitting_stage
 from deblur_avatar.training.params import StartParams
 
 
-def main(start: str, observations: Path, out: Path, metrics: Path, params_file: Path) -> None:
+def main(
+    start: str, observations: Path, out: Path, metrics: Path, cost: Path, params_file: Path
+) -> None:
     """Fit an avatar to the frames as if they were sharp."""
     params = load_params(params_file, f"starts.{start}", StartParams)
     with fitting_stage("warmup", out, params_file, [params], [observations]) as stage:
-        avatar, checkpoint, cost = warm_up(
+        avatar, checkpoint, measured = warm_up(
             Observations.load(observations),
             params,
             stage.schedule,
@@ -25,7 +27,7 @@ def main(start: str, observations: Path, out: Path, metrics: Path, params_file: 
         )
         avatar.save(out / "avatar")
         checkpoint.save(out / "checkpoint")
-        stage.finish(metrics, cost)
+        stage.finish(metrics, cost, measured)
 
 
 if __name__ == "__main__":

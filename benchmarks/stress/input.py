@@ -36,7 +36,7 @@ def prepare(
     params = BlurParams(
         frames="true", factor=SUBFRAMES, window=window, light=averaged_light(damage)
     )
-    blurry, _ = blur(clip, params)
+    blurry = blur(clip, params)
     generator = torch.Generator().manual_seed(run.derive_seed(seed, "damage"))
     for name, amount in damage.items():
         if name not in DAMAGES:

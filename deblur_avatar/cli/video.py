@@ -1,15 +1,15 @@
 """From a video to an avatar in one command: `make avatar VIDEO=clip.mp4`.
 
-Writes `avatars/<name>/params.yaml` (once; it is the user's to change) and `avatars/<name>/dvc.yaml`
-(the root's stages, each time), checks the scene, and lets DVC make the rest: the avatar, a video of
-it doing what was filmed while the camera goes round, and a report. All results lie below that
-folder.
+Writes `avatars/<name>/params.yaml` (once; it is the user's to change) and beside it a copy of the
+root's `dvc.yaml`, checks the scene, and lets DVC make the rest: the avatar, a video of it doing
+what was filmed while the camera goes round, and a report. All results lie below that folder.
 """
 
 import argparse
 import logging
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,18 +23,13 @@ from deblur_avatar.config.reading import (
     section_of,
 )
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.pipeline.experiment import (
-    PARAMS,
-    PIPELINE,
-    experiment_pipeline,
-)
+from deblur_avatar.pipeline.code import PIPELINE
 from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.sources.footage import read_footage
 
 logger = logging.getLogger(__name__)
 
-AVATARS = Path("avatars")
-MAKER = "make avatar"
+AVATARS, PARAMS, UP = Path("avatars"), "params.yaml", "../.."
 BODY = "anny"
 DEFAULT_START = "paper"
 ADDED_TO = ("warmups", "runs", "animations")  # sections that each method asked for grows
@@ -78,10 +73,11 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
     content = _with_method(content, name, method, start) | {"schedule": schedule}
+    content = {"snapshots": shared["snapshots"]} | content | {"from": _places(content)}
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / PARAMS, content)
     check_parameters(folder / PARAMS)
-    (folder / PIPELINE).write_text(experiment_pipeline(folder, root, MAKER))
+    shutil.copy(root / PIPELINE, folder / PIPELINE)
     return folder
 
 
@@ -207,7 +203,7 @@ def _with_method(content: dict[str, Any], name: str, method: str, start: str) ->
     }
     run = f"{name}-{method}"
     return (
-        {"predeblur": {}}
+        {"bodies": {}, "predeblur": {}, "checks": [name], "timelines": {}, "reports": ["reports"]}
         | content
         | {
             "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],
@@ -215,6 +211,17 @@ def _with_method(content: dict[str, Any], name: str, method: str, start: str) ->
             "animations": {run: animation} | content["animations"],
         }
     )
+
+
+def _places(content: dict[str, Any]) -> dict[str, str]:
+    """Where the pipeline finds what an avatar's folder does not make or say: at the root."""
+    sections = ("schedules", "starts", "methods", "check")
+    return {
+        "root": UP,
+        "bodies": "data/body" if content["bodies"] else f"{UP}/data/body",
+        "footage": "data",
+        **{name: PARAMS if name in content else f"{UP}/{PARAMS}" for name in sections},
+    }
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:

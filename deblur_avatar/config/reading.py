@@ -22,6 +22,7 @@ P = TypeVar("P")
 MAX_BYTES = 1 << 18  # of a parameter file; the root's has 10 kB, a megabyte takes ten seconds
 MAX_NODES, MAX_DEPTH = 100_000, 50  # with every alias written out; the root's has 1,500, 8 deep
 MAX_SHARED = 8  # files that name each other in turn
+KNOWN_BELOW = ("bodies", "scenes")  # sections that, empty, hide nothing of the shared file's
 
 ENVIRONMENT = (
     r"\$\((?P<name>\w+)(?::-(?P<default>[^)]*))?\)",
@@ -41,7 +42,8 @@ def load_params(path: Path, key: str, kind: Any) -> Any:
 def read_params(path: Path) -> Any:
     """Read a parameter file; sections that it lacks come from the file that its `shared` names.
 
-    That file may name another in turn.
+    That file may name another in turn. Empty `bodies` or `scenes` say that none are made here, not
+    that none are known: they come from there too.
 
     Raises:
         ConfigError: if one of the two is missing or is not YAML, or they name each other.
@@ -61,7 +63,12 @@ def _with_shared(path: Path, above: int) -> Any:
     below = _with_shared(other, above + 1)
     if not isinstance(below, dict):
         raise ConfigError(f"{path}: shared: {other} must hold sections, got {below!r:.60}")
-    return {**below, **{key: value for key, value in content.items() if key != "shared"}}
+    own = {
+        key: value
+        for key, value in content.items()
+        if key != "shared" and not (key in KNOWN_BELOW and value == {})
+    }
+    return {**below, **own}
 
 
 def section_of(content: Any, path: Path, key: str, kind: Any) -> Any:

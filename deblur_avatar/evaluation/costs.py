@@ -1,5 +1,12 @@
-"""What fitting a run cost, gathered from the measurements of its three stages."""
+"""What a run cost, gathered from what its stages measured with a clock.
 
+Conventions. These measurements lie in files of their own, `<folder>/<stage>/<item>.json`, which no
+stage but a report depends on: two runs of the same code take different times and are the same run.
+A fitting stage leaves `seconds`, `peak_memory_mb` and, of each of its `snapshots`, `iteration` and
+`seconds`; `evaluate` leaves `render_fps`.
+"""
+
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,35 +17,71 @@ from deblur_avatar.run import read_json
 STAGES = ("warmup", "trajectory", "fusion")
 
 
-def cost_files(folder: Path, run: RunParams) -> dict[str, Path]:
-    """What each fitting stage of a run measured, in their order; the warm-up may be shared."""
-    paths = {stage: folder / stage / f"{run.scene}-{run.method}.json" for stage in STAGES}
-    paths["warmup"] = folder / "warmup" / f"{run.scene}-{run.observations}-{run.start}.json"
-    return paths
-
-
 def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
-    """Read `<folder>/<stage>/<item>.json` of each fitting stage.
+    """Read what each stage of a run measured.
 
     Args:
-        folder: where all metrics are.
+        folder: `metrics/cost`.
         run: whose costs; its warm-up may be shared with other methods and is counted in full.
 
     Returns:
-        `train_s` and `<stage>_s`, wall-clock seconds, and `peak_memory_mb` of the largest stage;
-        None where a stage left no measurement.
+        `train_s` and `<stage>_s`, wall-clock seconds, `peak_memory_mb` of the largest stage, and
+        `render_fps`; None where a stage left no measurement.
 
     Raises:
         ArtifactError: if a measurement is damaged.
     """
-    found = {stage: _read(path) for stage, path in cost_files(folder, run).items()}
+    keys = ("seconds", "peak_memory_mb")
+    found = {stage: _read(_file(folder, stage, run), keys) for stage in STAGES}
     seconds = {stage: content.get("seconds") for stage, content in found.items()}
     peaks = [content["peak_memory_mb"] for content in found.values() if content]
+    rendering = _read(_file(folder, "evaluate", run), ("render_fps",))
     return {
         "train_s": _sum(list(seconds.values())),
         **{f"{stage}_s": value for stage, value in seconds.items()},
         "peak_memory_mb": max(peaks) if peaks else None,
+        "render_fps": rendering.get("render_fps"),
     }
+
+
+def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> dict[str, Any]:
+    """A timeline whose points say after how many seconds of training each avatar was kept.
+
+    They count from the run's first iteration over its three stages, the warm-up in full although
+    methods may share it; what writing snapshots took is not in them.
+
+    Raises:
+        ArtifactError: if a stage's measurement is missing or damaged, or not of this timeline.
+    """
+    at: dict[tuple[str, int], float] = {}
+    ends: dict[str, float] = {}  # of stages that kept nothing on the way
+    before = 0.0
+    for stage in STAGES:
+        path = _file(folder, stage, run)
+        content = read_json(path)
+        try:
+            for kept in content["snapshots"]:
+                at[stage, int(kept["iteration"])] = before + float(kept["seconds"])
+            before += float(content["seconds"])
+            ends |= {} if content["snapshots"] else {stage: before}
+        except (KeyError, TypeError, ValueError) as error:
+            raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from error
+    points = []
+    for point in timeline["points"]:
+        stage, iteration = point["stage"], point["iteration"]
+        seconds = at.get((stage, iteration), ends.get(stage))
+        if seconds is None:
+            raise ArtifactError(
+                f"{_file(folder, stage, run)} knows no snapshot of iteration {iteration}; it is of "
+                "another run than the timeline: run `dvc repro`"
+            )
+        points.append({"stage": stage, "iteration": iteration, "seconds": seconds} | point)
+    return {**timeline, "points": points}
+
+
+def _file(folder: Path, stage: str, run: RunParams) -> Path:
+    warmup = f"{run.scene}-{run.observations}-{run.start}"
+    return folder / stage / f"{warmup if stage == 'warmup' else f'{run.scene}-{run.method}'}.json"
 
 
 def _sum(values: list[float | None]) -> float | None:
@@ -46,11 +89,11 @@ def _sum(values: list[float | None]) -> float | None:
     return sum(known) if len(known) == len(values) else None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
     if not path.exists():
         return {}
     content = read_json(path)
-    found = {key: content.get(key) for key in ("seconds", "peak_memory_mb")}
+    found = {key: content.get(key) for key in keys}
     if not all(isinstance(value, int | float) for value in found.values()):
         raise ArtifactError(f"{path} is damaged: it says {found!r:.200}; run `dvc repro`")
     return found

@@ -13,6 +13,7 @@ from typing import Any
 import jinja2
 
 from deblur_avatar import run
+from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.recovery import (
     Result,
@@ -157,14 +158,16 @@ class _Seeds:
     timelines: Mapping[str, Result]  # means
 
 
-def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
-    """Gather `seed_*/metrics/<scene>/<method>.json` and `.../timeline/*.json` below a folder.
+def report_ablations(
+    folders: Sequence[Path], runs: Mapping[str, RunParams], scene: str, schedule: str
+) -> AblationReport:
+    """Gather what these runs left in `metrics` below each seed's folder.
 
     Raises:
         ArtifactError: if no seed has results of the scene, a file is damaged, or avatars kept on
             the way are of other iterations from seed to seed.
     """
-    seeds = _gathered(folder, scene)
+    seeds = _gathered(folders, runs, scene)
     about = f"Scene {scene}, schedule {schedule}, novel views, {seeds.count} seeds: mean ± spread."
     tables = [table for section in SECTIONS if len((table := _table(section, seeds))[1]) > 1]
     text = f"{about} Grey columns: the paper's own numbers, of another data set.\n\n"
@@ -178,20 +181,22 @@ def report_ablations(folder: Path, scene: str, schedule: str) -> AblationReport:
     )
 
 
-def _gathered(folder: Path, scene: str) -> _Seeds:
+def _gathered(folders: Sequence[Path], runs: Mapping[str, RunParams], scene: str) -> _Seeds:
     every: dict[str, list[Result]] = {}
     kept: dict[str, list[Result]] = {}
     count = 0
-    for path in sorted(folder.glob("seed_*/metrics")):
-        results = read_results(path).get(scene)
+    for folder in folders:
+        results = read_results(folder / "metrics", runs).get(scene)
         if results is not None:
             count += 1
             for method, result in compared(results).items():
                 every.setdefault(method, []).append(result)
-            for method, timeline in read_timelines(path).get(scene, {}).items():
+            for method, timeline in read_timelines(folder / "metrics", runs).get(scene, {}).items():
                 kept.setdefault(method, []).append(timeline)
     if not count:
-        raise ArtifactError(f"no results of {scene} below {folder}; run `dvc repro` there")
+        raise ArtifactError(
+            f"no results of {scene} in {', '.join(map(str, folders))}; run `dvc repro` there"
+        )
     timelines = {method: _mean_timeline(method, found) for method, found in kept.items()}
     means = {method: averaged(results) for method, results in every.items()}
     spreads = {method: spread(results) for method, results in every.items()}

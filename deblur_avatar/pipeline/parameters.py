@@ -28,6 +28,18 @@ class SceneParams(Params):
     preprocess: PreprocessParams
 
 
+class PlacesParams(Params):
+    """Where dvc.yaml finds, from its folder, what is not made or said there (`from`)."""
+
+    root: str  # of the repository
+    bodies: str  # folder
+    footage: str  # folder of `clip` and `preprocess`
+    schedules: str  # parameter files
+    starts: str
+    methods: str
+    check: str
+
+
 class MethodParams(Params):
     """A row of every table."""
 
@@ -56,12 +68,16 @@ def check_parameters(path: Path) -> None:
     section_of(content, path, "seed", int)
     section_of(content, path, "snapshots", int)
     section_of(content, path, "check", CheckParams)
+    section_of(content, path, "from", PlacesParams)
+    section_of(content, path, "reports", list[str])
     for section, kind in sections.items():
         for name in section_of(content, path, section, dict):
             section_of(content, path, f"{section}.{name}", kind)
     section_of(content, path, f"schedules.{section_of(content, path, 'schedule', str)}", dict)
-    for name in content["predeblur"].keys() - content["scenes"].keys():
-        raise ConfigError(f"{path}: predeblur.{name}: there is no scene {name!r}")
+    checked = section_of(content, path, "checks", list[str])
+    for section, names in (("predeblur", content["predeblur"]), ("checks", checked)):
+        for name in set(names) - content["scenes"].keys():
+            raise ConfigError(f"{path}: {section}: there is no scene {name!r}")
     named = {"scene": "scenes", "start": "starts", "method": "methods"}
     for section in ("warmups", "runs"):
         for name, entry in content[section].items():
@@ -75,6 +91,9 @@ def check_parameters(path: Path) -> None:
         warmup = f"{entry['scene']}-{entry['observations']}-{entry['start']}"
         if warmup not in content["warmups"]:
             raise ConfigError(f"{path}: runs.{name} goes on from {warmup}, add it to warmups")
+    for name, entry in section_of(content, path, "timelines", dict).items():
+        if content["runs"].get(name) != entry:
+            raise ConfigError(f"{path}: timelines.{name} is not as in runs")
     for name, entry in content["animations"].items():
         if content["runs"].get(name, {}).get("scene") != entry["scene"]:
             raise ConfigError(f"{path}: animations.{name}: no run {name!r} on {entry['scene']!r}")

@@ -23,7 +23,6 @@ from deblur_avatar.config.section import (
     Positive,
 )
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging import metrics
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.deconvolution import deblur_by_matte
 from deblur_avatar.imaging.picture_files import read_picture
@@ -78,39 +77,6 @@ def predeblur(
     mean = sum(lengths) / len(lengths) if lengths else None
     used = {"method": "matte", "streak_px": mean}
     return replace(blurred, frames=frames, mattes=mattes, exposure=0.0), used
-
-
-def measure_predeblur(
-    deblurred: Observations, blurred: Observations, sharp: Path
-) -> dict[str, float | None]:
-    """How far frames and mattes are from the sharp ones, before and after; means over frames.
-
-    Over the training camera's training frames; PSNR in dB, that of `person` over the pixels that
-    the person covers in the sharp or the blurred frame. None where no sharp frames are known.
-
-    Args:
-        deblurred: what was made.
-        blurred: of what.
-        sharp: folder of the sharp observations, empty where there are none.
-    """
-    keys = ("psnr", "psnr_person", "psnr_matte")
-    names = [f"{key}_{which}" for which in ("blurred", "deblurred") for key in keys]
-    if not (sharp / "manifest.json").is_file():
-        return dict.fromkeys(names)
-    frames = list(blurred.train)
-    truth = Observations.load(sharp)
-    wanted, matte = _unit(truth.frames[frames]), _unit(truth.mattes[frames])
-    person = (matte > 0) | (blurred.mattes[frames] > 0)
-    scores: list[Tensor] = []
-    for made in (blurred, deblurred):
-        pictures, coverage = _unit(made.frames[frames]), _unit(made.mattes[frames])
-        layers = [c[..., None].expand(*c.shape, 3) for c in (coverage, matte)]
-        scores += [
-            metrics.psnr(pictures, wanted),
-            metrics.psnr(pictures, wanted, person),
-            metrics.psnr(layers[0], layers[1]),
-        ]
-    return {name: float(score.mean()) for name, score in zip(names, scores, strict=True)}
 
 
 def _sharpened(

@@ -5,7 +5,7 @@ Works on whatever scenes and methods there are. Equal results give equal bytes: 
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,9 @@ import jinja2
 import numpy as np
 
 from deblur_avatar import run
+from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.costs import read_costs, with_seconds
 from deblur_avatar.evaluation.recovery import (
     compared,
     pooled,
@@ -73,7 +75,7 @@ DECLARED = {
     "reblur_psnr": ("reblur", "psnr"),
     "train_s": ("cost", "train_s"),
 }
-MOMENT = {"stage", "iteration", "seconds"}  # what each point of a timeline has at least
+MOMENT = {"stage", "iteration"}  # what each point of a timeline has at least
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
 Results = dict[str, dict[str, Any]]  # by method
@@ -108,22 +110,31 @@ class Report:
             write_picture(folder / "strip.png", self.strip)
 
 
-def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
-    """Read all results and put them on one page.
+def make_report(
+    runs: Mapping[str, RunParams],
+    animated: Collection[str],
+    metrics: Path,
+    pictures: Path,
+    animations: Path,
+) -> Report:
+    """Read the results of these runs and put them on one page; nothing else that lies there counts.
 
     Args:
-        metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
-            `timeline/<run>.json`.
+        runs: by name, `<scene>-<method>`; those without results are left out.
+        animated: names of those that were animated.
+        metrics: `<scene>/<method>.json`, and `score_blur/<scene>.json`, `preprocess/<scene>.json`,
+            `timeline/<run>.json`, `cost/<stage>/<item>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
 
     Raises:
         ArtifactError: if a file is damaged; names it.
     """
-    timelines = read_timelines(metrics)
+    shown = {name: animations / name for name in animated}
+    timelines = read_timelines(metrics, runs)
     scenes = {
         scene: with_speed(compared(results), timelines.get(scene, {}))
-        for scene, results in read_results(metrics).items()
+        for scene, results in read_results(metrics, runs).items()
     }
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
     charts = chart_files("speed_accuracy", rows_of_methods(scenes))
@@ -142,12 +153,12 @@ def make_report(metrics: Path, pictures: Path, animations: Path) -> Report:
             {
                 "name": scene,
                 "facts": facts_of(
-                    _read(metrics / "blur" / f"{scene}.json"),
+                    _read(metrics / "score_blur" / f"{scene}.json"),
                     _read(metrics / "preprocess" / f"{scene}.json"),
                 ),
                 "strips": [_on_page(strip) for strip in strips[scene]],
                 "tables": tables_of(results, _read(metrics / "preprocess" / f"{scene}.json")),
-                "animations": _animations(scene, results, animations),
+                "animations": _animations(scene, results, shown),
             }
             for scene, results in scenes.items()
         ],
@@ -198,37 +209,45 @@ def _repeated(scenes: Mapping[str, Results]) -> Titled | None:
     return Titled(f"Mean over {len(scenes)} scenes \u00b1 standard deviation", table)
 
 
-def read_results(metrics: Path) -> dict[str, Results]:
-    """Results by scene and method: the files that say which scene and method they are of.
+def read_results(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
+    """Results of these runs by scene and method, with what they cost.
 
     Raises:
         ArtifactError: if a file is damaged.
     """
     scenes: dict[str, Results] = {}
-    for path in sorted(metrics.glob("*/*.json")):
-        content = _read(path)
-        if content.get("scene") == path.parent.name and content.get("method") == path.stem:
-            scenes.setdefault(path.parent.name, {})[path.stem] = content
+    for run_params in sorted(runs.values(), key=lambda run_params: run_params.method):
+        scene, method = run_params.scene, run_params.method
+        path = metrics / scene / f"{method}.json"
+        if path.exists():
+            content = _read(path)
+            if (content.get("scene"), content.get("method")) != (scene, method):
+                raise ArtifactError(f"{path} is not of {method} on {scene}; run `dvc repro`")
+            last = {"cost": read_costs(metrics / "cost", run_params), "run": content.pop("run", {})}
+            scenes.setdefault(scene, {})[method] = content | last
     # The scene with a known truth comes first: it says most.
     return dict(sorted(scenes.items(), key=lambda item: ("ceiling" not in item[1], item[0])))
 
 
-def read_timelines(metrics: Path) -> dict[str, Results]:
-    """What the stage `timeline` measured, by scene and method.
+def read_timelines(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
+    """What the stage `timeline` measured of these runs, by scene and method, with seconds.
 
     Raises:
         ArtifactError: if a file is damaged.
     """
     found: dict[str, Results] = {}
-    for path in sorted(metrics.glob("timeline/*.json")):
-        content = _read(path)
-        points = content.get("points")
-        if not isinstance(points, list) or not all(map(_is_moment, points)):
-            raise ArtifactError(
-                f"{path} is damaged: its points must each have {', '.join(sorted(MOMENT))}; "
-                "run `dvc repro`"
-            )
-        found.setdefault(str(content.get("scene")), {})[str(content.get("method"))] = content
+    for name, run_params in sorted(runs.items()):
+        path = metrics / "timeline" / f"{name}.json"
+        if path.exists():
+            content = _read(path)
+            points = content.get("points")
+            if not isinstance(points, list) or not all(map(_is_moment, points)):
+                raise ArtifactError(
+                    f"{path} is damaged: its points must each have {', '.join(sorted(MOMENT))}; "
+                    "run `dvc repro`"
+                )
+            timeline = with_seconds(content, metrics / "cost", run_params)
+            found.setdefault(run_params.scene, {})[run_params.method] = timeline
     return found
 
 
@@ -303,12 +322,12 @@ def _machine(scenes: Mapping[str, Results]) -> str:
     return f"{device}, schedule {' and '.join(schedules)}" if schedules else device
 
 
-def _animations(scene: str, results: Results, folder: Path) -> list[dict[str, str]]:
+def _animations(scene: str, results: Results, folders: Mapping[str, Path]) -> list[dict[str, str]]:
     shown = []
     for method in results:
-        sheet = folder / f"{scene}-{method}" / "contact_sheet.png"
-        video = folder / f"{scene}-{method}" / "video.mp4"
-        if sheet.is_file():
+        folder = folders.get(f"{scene}-{method}")
+        if folder is not None and (sheet := folder / "contact_sheet.png").is_file():
+            video = folder / "video.mp4"
             playable = video.is_file() and video.stat().st_size <= MAX_VIDEO
             shown.append(
                 {

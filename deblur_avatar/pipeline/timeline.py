@@ -1,8 +1,7 @@
-"""What each second of training bought: how good the avatars are that fitting kept on its way.
+"""The learning curve: how good the avatars are that fitting kept on its way.
 
-Seconds count from a run's first iteration over its three stages, the warm-up in full although
-methods may share it; what writing snapshots took is not in them. Every snapshot of every method on
-a scene is compared with the same few test views and the same frames set aside.
+Every snapshot of every method on a scene is compared with the same few test views and the same
+frames set aside. When each was taken is what fitting measured with a clock, which the report adds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,10 +17,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.model import AvatarModel
-from deblur_avatar.config.runs import RunParams
-from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.comparisons import compare, mean_scores
-from deblur_avatar.evaluation.costs import cost_files
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
@@ -31,11 +27,10 @@ SCORES = ("psnr", "ssim", "flip", "lpips_vgg", "psnr_seen")
 
 @dataclass(frozen=True)
 class Moment:
-    """An avatar on the way: where it lies and when in training it was there."""
+    """An avatar on the way: where it lies and at which iteration it was there."""
 
     stage: str
     iteration: int
-    seconds: float  # since the run began
     folder: Path  # of `avatar` and `motion`
 
 
@@ -43,8 +38,6 @@ def timeline(
     observations: Observations,
     reference: Reference,
     stages: Mapping[str, Path],
-    costs: Path,
-    params: RunParams,
     device: torch.device,
 ) -> dict[str, Any]:
     """Score every snapshot of one run.
@@ -53,15 +46,13 @@ def timeline(
         observations: the blurred ones, whatever the run was fitted to.
         reference: sharp test views; without any only frames set aside are scored.
         stages: what each fitting stage of the run wrote, by its name.
-        costs: where all metrics are.
-        params: which run.
         device: to draw on.
 
     Raises:
-        ArtifactError: if a stage's measurements or a snapshot are missing.
+        ArtifactError: if a snapshot is damaged.
     """
     views = _spread(truth_views(observations, reference))
-    moments = moments_of(stages, costs, params)
+    moments = moments_of(stages)
     points = [
         _scored(moment, observations, reference, views, device)
         for moment in run.progress(moments, "snapshots")
@@ -74,36 +65,19 @@ def timeline(
     }
 
 
-def moments_of(stages: Mapping[str, Path], costs: Path, params: RunParams) -> list[Moment]:
-    """The snapshots of all stages in the order of time, and the end of each that has a motion.
+def moments_of(stages: Mapping[str, Path]) -> list[Moment]:
+    """The snapshots of all stages in their order, and the end of each that kept none on the way.
 
-    Raises:
-        ArtifactError: if what a stage measured is missing or damaged.
+    A warm-up without snapshots has no motion to be seen in, and is left out.
     """
     moments: list[Moment] = []
-    before = 0.0
-    for stage, path in cost_files(costs, params).items():
-        content = run.read_json(path)
-        try:
-            seconds = _seconds(content)
-            kept = [(int(s["iteration"]), _seconds(s)) for s in content["snapshots"]]
-        except (KeyError, TypeError, ValueError) as error:
-            raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from error
-        for iteration, took in kept:
-            folder = stages[stage] / "snapshots" / f"{iteration:06d}"
-            moments.append(Moment(stage, iteration, before + took, folder))
-        if not kept and (stages[stage] / "motion").exists():
-            last = Avatar.load(stages[stage] / "avatar").iteration
-            moments.append(Moment(stage, last, before + seconds, stages[stage]))
-        before += seconds
+    for stage, folder in stages.items():
+        kept = sorted((folder / "snapshots").glob("[0-9]*"))
+        moments += [Moment(stage, int(path.name), path) for path in kept]
+        if not kept and (folder / "motion").exists():
+            last = Avatar.load(folder / "avatar").iteration
+            moments.append(Moment(stage, last, folder))
     return moments
-
-
-def _seconds(measured: Mapping[str, Any]) -> float:
-    value = measured["seconds"]
-    if not isinstance(value, int | float):
-        raise TypeError(f"seconds is a {type(value).__name__}")
-    return float(value)
 
 
 def _scored(
@@ -121,7 +95,6 @@ def _scored(
     return {
         "stage": moment.stage,
         "iteration": moment.iteration,
-        "seconds": moment.seconds,
         "gaussians": len(avatar.means),
         "image": scores and {name: scores[name] for name in SCORES},
         "validation_psnr": mean_reblur_psnr(model, observations, motion, observations.validation),

@@ -30,10 +30,16 @@ class FittingStage:
     folder: RunFolder
     out: Path
 
-    def finish(self, metrics: Path, cost: Mapping[str, Any]) -> None:
-        """Write what the stage cost, once all else is written, and clear its working folder."""
-        measured = {"peak_memory_mb": run.peak_memory_mb()}
-        run.write_json(metrics, {**cost, **measured, "snapshots": self.folder.finish(self.out)})
+    def finish(self, metrics: Path, cost: Path, measured: Mapping[str, Any]) -> None:
+        """Write what was measured, once all else is written, and clear the working folder.
+
+        What a clock or the memory says goes to `cost`, a file of its own: nothing that decides
+        whether a later stage is up to date may hold it.
+        """
+        facts = {name: value for name, value in measured.items() if name != "seconds"}
+        spent = {"seconds": measured["seconds"], "peak_memory_mb": run.peak_memory_mb()}
+        run.write_json(metrics, facts)
+        run.write_json(cost, {**spent, "snapshots": self.folder.finish(self.out)})
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from benchmarks.stress.rules import (
     judge,
 )
 from deblur_avatar.config.reading import load_params
-from tests.structure.import_closure import ROOT
+from tests.structure.pipeline_files import ROOT
 
 FINE = {
     "finite": True, "score": 17.5, "psnr": 25.5, "psnr_limbs": 18.0, "psnr_torso": 17.5,

@@ -29,7 +29,7 @@ from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams
-from tests.structure.import_closure import ROOT
+from tests.structure.pipeline_files import ROOT
 
 PARAMS = ROOT / "stability/params.yaml"
 METHODS = ("agnostic", "paper", "lean")

@@ -6,7 +6,7 @@ python -m tests.structure.readme_table --write
 import argparse
 import sys
 
-from tests.structure.import_closure import ROOT
+from tests.structure.pipeline_files import ROOT
 
 README, TABLE = ROOT / "README.md", ROOT / "reports" / "table.md"
 BEGIN, END = "<!-- results: copied by `make readme` -->", "<!-- end of results -->"

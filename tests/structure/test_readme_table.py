@@ -2,7 +2,7 @@ import subprocess
 
 import pytest
 
-from tests.structure.import_closure import ROOT
+from tests.structure.pipeline_files import ROOT
 from tests.structure.readme_table import BEGIN, END, README, TABLE, with_table
 
 

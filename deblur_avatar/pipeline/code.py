@@ -1,0 +1,268 @@
+"""Code fingerprints: one hash a stage over the syntax of all that its script imports.
+
+DVC compares files byte by byte, so that a pipeline whose stages depend on their source files
+reruns for a comment. Here a stage depends on one number instead, that only code can move:
+
+- Python by its syntax tree, without docstrings, positions and what only a type checker runs;
+- C++ by its tokens, without comments and white space;
+- everything else (a page's template, a chart's specification) by its bytes.
+
+The walk over imports is static: every `import` counts, those inside functions too, and so does
+every package's `__init__.py` on the way, and a module whose full name stands in a string. A file
+that is no Python module belongs to the module above it that names it in a string, or to the C++
+file that includes it.
+"""
+
+import ast
+import hashlib
+import json
+import re
+import sys
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+PACKAGES = ("deblur_avatar", "benchmarks")
+SCRIPTS = ("stages", "benchmarks/stress/stages")
+AREAS = ("experiments", "avatars")
+PIPELINE, FINGERPRINTS = "dvc.yaml", "code.json"
+FILE_NAME = re.compile(r"\w[\w-]*(\.\w+)+")
+BLOCKS = ("body", "orelse", "finalbody")  # statements of a node
+CPP = (".cpp", ".cc", ".cu", ".cuh", ".h", ".hpp")
+# In this order: what looks like a comment within a string is none.
+CPP_TOKENS = re.compile(
+    r"""(?P<raw>R"(?P<fence>[^()\\\s]{0,16})\(.*?\)(?P=fence)")
+    | (?P<string>"(?:\\.|[^"\\\n])*")
+    | (?P<comment>//[^\n]*|/\*.*?\*/)
+    | (?P<number>\.?\d(?:[eEpP][+-]|'?[\w.])*)
+    | (?P<character>'(?:\\.|[^'\\\n])*')
+    | (?P<word>\w+)
+    | (?P<mark><<=|>>=|<=>|\.\.\.|->\*|::|->|\+\+|--|<<|>>|&&|\|\||\#\#|[-+*/%&|^<>=!]=|[^\s\w])
+    | (?P<space>\s+)""",
+    re.DOTALL | re.VERBOSE,
+)
+
+
+def fingerprints(root: Path) -> dict[str, str]:
+    """The fingerprint of every stage's script, by its name.
+
+    Raises:
+        SyntaxError: if a module is not Python.
+    """
+    known: dict[Path, list[Path]] = {}
+    return {
+        script.stem: fingerprint(import_closure(script, root, known), root)
+        for script in scripts(root)
+    }
+
+
+def refresh(root: Path) -> list[Path]:
+    """Write the fingerprints, and the root's pipeline, into every folder that runs it.
+
+    Returns:
+        Files whose content has changed.
+    """
+    pipeline = (root / PIPELINE).read_bytes()
+    hashes = f"{json.dumps(fingerprints(root), indent=1)}\n".encode()
+    changed = []
+    for folder in pipelines(root):
+        for path, content in ((folder / PIPELINE, pipeline), (folder / FINGERPRINTS, hashes)):
+            if not path.is_file() or path.read_bytes() != content:
+                path.write_bytes(content)
+                changed.append(path)
+    return changed
+
+
+def pipelines(root: Path) -> list[Path]:
+    """The root, and all folders below `experiments/` and `avatars/` that run its stages."""
+    found = [path for area in AREAS for path in sorted((root / area).rglob(PIPELINE))]
+    own = [path.parent for path in found if re.search(rb"^  code:$", path.read_bytes(), re.M)]
+    return [root, *own]
+
+
+def scripts(root: Path) -> list[Path]:
+    """The scripts of all stages, in the order of their names."""
+    found = [path for folder in SCRIPTS for path in (root / folder).glob("[!_]*.py")]
+    return sorted(found, key=lambda path: path.stem)
+
+
+def fingerprint(files: set[Path], root: Path) -> str:
+    """One hash over files' names and what in them can change a result."""
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        name = path.relative_to(root).as_posix()
+        digest.update(f"{name}\0{_of_text(path.suffix, path.read_bytes())}\n".encode())
+    return digest.hexdigest()[:32]
+
+
+def import_closure(
+    script: Path, root: Path, known: dict[Path, list[Path]] | None = None
+) -> set[Path]:
+    """All files of this repository that running `script` may import, and what they read.
+
+    Args:
+        script: where to begin.
+        root: of the repository.
+        known: what each file looked at before leads to; grows, so that scripts can share it.
+    """
+    known = {} if known is None else known
+    found: set[Path] = set()
+    waiting = [script]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            if path not in known:
+                known[path] = list(_neighbours(path, root))
+            waiting += known[path]
+    return found
+
+
+def _neighbours(path: Path, root: Path) -> Iterator[Path]:
+    if path.suffix == ".py":
+        imported, files = _references(path.read_bytes(), path.relative_to(root).parts[:-1])
+        for name in imported:
+            yield from _module_files(name, root)
+        if path.relative_to(root).parts[0] in PACKAGES:
+            for name in files:
+                yield from path.parent.rglob(name)
+    elif path.suffix in CPP:
+        for name in re.findall(r'^\s*#\s*include\s*"([^"]+)"', path.read_text(), re.MULTILINE):
+            if (path.parent / name).is_file():
+                yield (path.parent / name).resolve()
+
+
+@lru_cache(maxsize=1024)
+def _references(source: bytes, package: tuple[str, ...]) -> tuple[frozenset[str], frozenset[str]]:
+    """The full names of what a module may import, and strings that could be names of files."""
+    imported: set[str] = set()
+    strings: set[str] = set()
+    for node in ast.walk(_stripped(ast.parse(source))):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else ()
+            name = ".".join([*above, *([node.module] if node.module else [])])
+            imported |= {name, *(f"{name}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            strings.add(node.value)
+    imported |= {text for text in strings if re.fullmatch(rf"({'|'.join(PACKAGES)})(\.\w+)+", text)}
+    files = {text for text in strings if FILE_NAME.fullmatch(text) and not text.endswith(".py")}
+    return frozenset(imported), frozenset(files)
+
+
+def _stripped(tree: ast.AST) -> ast.AST:
+    """The tree without what does nothing: docstrings, other strings that stand by themselves, and
+    what is under `if TYPE_CHECKING:`; and with pieces of an f-string that follow each other as one.
+    """
+    for node in ast.walk(tree):
+        for name in BLOCKS:
+            block = getattr(node, name, None)
+            if isinstance(block, list):
+                setattr(node, name, [line for line in block if not _is_prose(line)])
+        if isinstance(node, ast.If) and _last_name(node.test) == "TYPE_CHECKING":
+            node.body = []
+        if isinstance(node, ast.JoinedStr):
+            node.values = _joined(node.values)
+    return tree
+
+
+def _is_prose(statement: ast.AST) -> bool:
+    value = statement.value if isinstance(statement, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)
+
+
+def _last_name(node: ast.expr) -> str | None:
+    return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", None)
+
+
+def _joined(values: list[ast.expr]) -> list[ast.expr]:
+    merged: list[ast.expr] = []
+    for value in values:
+        last = merged[-1] if merged else None
+        if isinstance(value, ast.Constant) and isinstance(last, ast.Constant):
+            merged[-1] = ast.Constant(str(last.value) + str(value.value))
+        elif not (isinstance(value, ast.Constant) and value.value == ""):
+            merged.append(value)
+    return merged
+
+
+def _module_files(name: str, root: Path) -> Iterator[Path]:
+    """The module's file and every `__init__.py` above it; nothing for names from elsewhere."""
+    parts = name.split(".")
+    if parts[0] not in PACKAGES:
+        return
+    for depth in range(1, len(parts) + 1):
+        here = root.joinpath(*parts[:depth])
+        if (here / "__init__.py").is_file():
+            yield here / "__init__.py"
+        elif here.with_suffix(".py").is_file():
+            yield here.with_suffix(".py")
+
+
+@lru_cache(maxsize=1024)
+def _of_text(suffix: str, content: bytes) -> str:
+    """The hash of one file's content, as its kind is compared."""
+    if suffix == ".py":
+        content = _canonical(_stripped(ast.parse(content))).encode()
+    elif suffix in CPP:
+        content = "\0".join(cpp_tokens(content.decode())).encode()
+    return hashlib.sha256(content).hexdigest()
+
+
+def _canonical(tree: ast.AST) -> str:
+    """A syntax tree as text, the same for every Python that knows the syntax.
+
+    `ast.dump` is not: versions add fields, and 3.13 leaves empty ones out. Here fields that are
+    None or empty are left out always; how many follow is said, so that none can pass for another.
+    """
+    said: list[str] = []
+    waiting: list[tuple[str, object]] = [("", tree)]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, ast.AST):
+            fields = [
+                (field, content)
+                for field, content in ast.iter_fields(value)
+                if field != "kind" and content is not None and content != []
+            ]
+            said.append(f"{name} {type(value).__name__} {len(fields)}")
+            waiting += reversed(fields)
+        elif isinstance(value, list):
+            said.append(f"{name} of {len(value)}")
+            waiting += [("", item) for item in reversed(value)]
+        else:
+            said.append(f"{name} {type(value).__name__} {value!a}")
+    return "\n".join(said)
+
+
+def cpp_tokens(text: str) -> list[str]:
+    """What a C++ compiler reads: no comments, no white space but what a directive needs.
+
+    Where a directive ends is a token, and so is the space by which `#define f (x)` differs from
+    `#define f(x)`.
+    """
+    tokens: list[str] = []
+    line: list[str] = []
+    spaced = False
+    for match in CPP_TOKENS.finditer(re.sub(r"\\\r?\n", "", text) + "\n"):
+        if match.lastgroup in ("space", "comment"):
+            spaced = True
+            if "\n" in match[0] and match.lastgroup == "space":
+                tokens += [*line, "\n"] if line[:1] == ["#"] else line
+                line = []
+        else:
+            named = line[1:2] == ["define"] and len(line) == 3
+            line += [" ", match[0]] if named and spaced and match[0] == "(" else [match[0]]
+            spaced = False
+    return tokens
+
+
+def main() -> None:
+    """Refresh what belongs to the folder that this runs in."""
+    changed = ", ".join(map(str, refresh(Path())))
+    sys.stdout.write(f"{changed or 'nothing'} changed\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,15 @@
+"""Stage `code`: a fingerprint of the code of every stage, on which the others depend."""
+
+from pathlib import Path
+
+from deblur_avatar import run
+from deblur_avatar.pipeline.code import fingerprints
+
+
+def main(root: Path, out: Path) -> None:
+    """Write `out`: for each script of `<root>/stages` a hash over the code that it runs."""
+    run.write_json(out, fingerprints(root))
+
+
+if __name__ == "__main__":
+    run.command(main)

@@ -1,0 +1,190 @@
+"""Fingerprints move with what code does, and with nothing else."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.pipeline.code import cpp_tokens, fingerprints, import_closure, refresh, scripts
+
+ROOT = Path(__file__).parents[2]
+FITTING = {"warmup", "trajectory", "fusion", "stability", "stability_scene", "stability_report"}
+FILES = {
+    "stages/cut.py": "from pathlib import Path\nfrom deblur_avatar.pipeline.cut import cut\n",
+    "stages/sew.py": "import deblur_avatar.pipeline.glue\n",
+    "deblur_avatar/__init__.py": "",
+    "deblur_avatar/pipeline/__init__.py": "",
+    "deblur_avatar/pipeline/cut.py": (
+        '"""Cuts."""\nimport numpy\nfrom typing import TYPE_CHECKING\n'
+        "if TYPE_CHECKING:\n    from deblur_avatar.pipeline.glue import stick\n"
+        'def cut(x, y):\n    """Cut it."""\n    from deblur_avatar.geometry import planes\n'
+        '    from ..imaging.knives import sharpen\n    return f"{x:>{y}} {planes}", sharpen, 0.5\n'
+    ),
+    "deblur_avatar/pipeline/glue.py": 'LATER = "deblur_avatar.geometry.planes"\n',
+    "deblur_avatar/geometry/__init__.py": "",
+    "deblur_avatar/geometry/planes.py": "import math\n",
+    "deblur_avatar/imaging/__init__.py": "",
+    "deblur_avatar/imaging/knives.py": 'NAMES = "edge.cpp", "absent.cpp", "a.html"\n',
+    "deblur_avatar/imaging/native/edge.cpp": (
+        '#include "steel.h"\n#define TWICE(x) ((x) + (x)) // twice\nint edge() { return 1; }\n'
+    ),
+    "deblur_avatar/imaging/native/steel.h": "float hard = 1.f;\n",
+    "deblur_avatar/imaging/a.html": "<p>\n",
+    "deblur_avatar/imaging/spoons.cpp": "",
+}
+
+
+@pytest.fixture
+def project(tmp_path):
+    for name, text in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return tmp_path
+
+
+def moved(project, file, old, new):
+    """Stages whose fingerprint moves when a text is replaced; it must be there once or more."""
+    before, path = fingerprints(project), project / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    after = fingerprints(project)
+    path.write_text(text)
+    return {name for name in before if before[name] != after[name]}
+
+
+def test_imports_inside_functions_relative_ones_and_named_files_count(project):
+    closure = import_closure(project / "stages/cut.py", project)
+    assert {str(path.relative_to(project)) for path in closure} == {
+        "stages/cut.py", "deblur_avatar/__init__.py", "deblur_avatar/pipeline/__init__.py",
+        "deblur_avatar/pipeline/cut.py", "deblur_avatar/geometry/__init__.py",
+        "deblur_avatar/geometry/planes.py", "deblur_avatar/imaging/__init__.py",
+        "deblur_avatar/imaging/knives.py", "deblur_avatar/imaging/native/edge.cpp",
+        "deblur_avatar/imaging/native/steel.h", "deblur_avatar/imaging/a.html",
+    }  # fmt: skip
+
+
+def test_a_module_named_in_a_string_counts(project):
+    closure = import_closure(project / "stages/sew.py", project)
+    assert project / "deblur_avatar/geometry/planes.py" in closure
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("deblur_avatar/pipeline/cut.py", "import numpy\n", "# why\nimport   numpy  # what\n\n\n"),
+        ("deblur_avatar/pipeline/cut.py", '"""Cut it."""', '"""Cut it, and well."""'),
+        ("deblur_avatar/pipeline/cut.py", '"""Cut it."""', '"a docstring"; "edge.cpp"'),
+        ("deblur_avatar/pipeline/cut.py", '"""Cuts."""\n', ""),
+        ("deblur_avatar/pipeline/cut.py", "cut(x, y)", "cut(\n    x,\n    y,\n)"),
+        ("deblur_avatar/pipeline/cut.py", "0.5", "(5e-1)"),
+        ("deblur_avatar/pipeline/cut.py", "glue import stick", "glue import paste"),
+        ("deblur_avatar/imaging/native/edge.cpp", "// twice", "/* two\n// times */"),
+        ("deblur_avatar/imaging/native/edge.cpp", "{ return 1; }", "\n{\n\treturn 1 ;\n}\n"),
+        ("deblur_avatar/imaging/native/edge.cpp", "((x) + (x))", "\\\n  ((x)+(x))"),
+        ("deblur_avatar/imaging/native/steel.h", "float", "// of what\nfloat"),
+    ],
+)
+def test_prose_and_layout_move_no_fingerprint(project, file, old, new):
+    assert moved(project, file, old, new) == set()
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("deblur_avatar/pipeline/cut.py", "0.5", "0.25"),
+        ("deblur_avatar/pipeline/cut.py", "0.5", "None"),
+        ("deblur_avatar/pipeline/cut.py", ":>{y}", ":<{y}"),
+        ("deblur_avatar/pipeline/cut.py", "sharpen, 0.5", "sharpen or 0.5"),
+        ("deblur_avatar/imaging/native/edge.cpp", "return 1", "return 2"),
+        ("deblur_avatar/imaging/native/edge.cpp", "TWICE(x)", "TWICE (x)"),
+        ("deblur_avatar/imaging/native/edge.cpp", "int edge", "#endif\nint edge"),
+        ("deblur_avatar/imaging/native/steel.h", "1.f", "2.f"),
+        ("deblur_avatar/imaging/a.html", "<p>", "<p><!-- a -->"),
+        ("stages/cut.py", "import cut", "import cut as slice"),
+    ],
+)
+def test_what_code_does_moves_the_stages_that_run_it(project, file, old, new):
+    assert moved(project, file, old, new) == {"cut"}
+
+
+def test_cpp_comments_and_strings_are_told_apart():
+    text = 'auto a = "/* no */" + R"x(// no)")x" + \'"\' + 1\'000; // yes "\nb = c ++ + d;'
+    assert cpp_tokens(text) == [
+        "auto", "a", "=", '"/* no */"', "+", 'R"x(// no)")x"', "+", "'\"'", "+", "1'000", ";",
+        "b", "=", "c", "++", "+", "d", ";",
+    ]  # fmt: skip
+
+
+def test_the_same_code_has_the_same_fingerprint_whatever_python_reads_it(project):
+    """Every version here that knows the syntax; one alone if there is no other."""
+    module = ROOT / "deblur_avatar/pipeline/code.py"
+    show = (
+        f"import runpy, json, pathlib; code = runpy.run_path({str(module)!r}); "
+        f"print(json.dumps(code['fingerprints'](pathlib.Path({str(project)!r}))))"
+    )
+    found = set()
+    for name in (sys.executable, "python3.11", "python3.12", "python3.13"):
+        if shutil.which(name):
+            done = subprocess.run([name, "-c", show], capture_output=True, text=True, check=False)
+            found |= {done.stdout} if done.returncode == 0 else set()  # a shim of what is not there
+    assert found == {json.dumps(fingerprints(project)) + "\n"}
+
+
+def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
+    for folder in ("deblur_avatar", "benchmarks", "stages"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    losses = "deblur_avatar/training/losses.py"
+    text = (tmp_path / losses).read_text()
+    assert moved(tmp_path, losses, text, f"{text}\n# a comment\n") == set()
+    assert moved(tmp_path, losses, text, f"{text}\nWEIGHT = 0.5\n") == FITTING
+    kernel = "deblur_avatar/rendering/kernel.cpp"
+    text = (tmp_path / kernel).read_text()
+    assert moved(tmp_path, kernel, text, f"// a comment\n{text}") == set()
+    renders = moved(tmp_path, kernel, text, f"{text}\nint more;\n")
+    assert renders == FITTING | {"evaluate", "timeline", "animate"}
+    metrics = "deblur_avatar/imaging/metrics.py"
+    text = (tmp_path / metrics).read_text()
+    scores = moved(tmp_path, metrics, text, f"{text}\nMORE = 0.5\n")
+    assert not scores & {
+        "clip",
+        "blur",
+        "preprocess",
+        "predeblur",
+        "warmup",
+        "trajectory",
+        "fusion",
+    }
+    assert scores >= {"score_blur", "score_predeblur", "evaluate", "timeline"}
+
+
+def test_refreshing_writes_fingerprints_and_copies_where_the_pipeline_runs(project):
+    (project / "dvc.yaml").write_text("stages:\n  code:\n    cmd: new\n")
+    for folder, text in (("copy", "stages:\n  code:\n    cmd: old\n"), ("other", "stages: {}\n")):
+        (project / "experiments" / folder).mkdir(parents=True)
+        (project / "experiments" / folder / "dvc.yaml").write_text(text)
+    names = ["code.json", "experiments/copy/dvc.yaml", "experiments/copy/code.json"]
+    assert refresh(project) == [project / name for name in names]
+    assert json.loads((project / "code.json").read_text()) == fingerprints(project)
+    assert "new" in (project / "experiments/copy/dvc.yaml").read_text()
+    assert refresh(project) == []
+
+
+def test_what_a_stage_really_loads_is_within_its_closure():
+    """The static walk misses nothing that running the imports shows."""
+    show = (
+        "import runpy, sys; runpy.run_path(sys.argv[1]); "
+        "print('\\n'.join(m.__file__ for n, m in sys.modules.items() "
+        "if n.split('.')[0] in ('deblur_avatar', 'benchmarks')))"
+    )
+    for name in ("blur", "stability_report"):
+        (script,) = [path for path in scripts(ROOT) if path.stem == name]
+        command = [sys.executable, "-c", show, str(script)]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+        loaded = {Path(line).resolve() for line in done.stdout.split()}
+        assert loaded
+        assert loaded <= {path.resolve() for path in import_closure(script, ROOT)}
