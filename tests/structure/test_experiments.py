@@ -125,7 +125,7 @@ def test_a_missing_body_is_one_clear_line(tmp_path, model):
 
 def test_pipelines_that_gather_experiments_depend_on_the_code_they_run():
     gathering = own_pipelines()[1:]
-    suite = [ROOT / "stability" / method for method in ("blind", "", "lean", "paper")]
+    suite = [ROOT / "stability" / name for name in ("blind", "cases", "", "lean", "paper")]
     assert gathering == [folder / PIPELINE for folder in (ABLATIONS, *suite)]
     for path in gathering:
         for stage in resolved(path.parent).values():
