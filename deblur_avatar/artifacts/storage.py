@@ -5,7 +5,6 @@ folder of 8-bit PNG files for each image stack. Nothing in it depends on the tim
 the process that wrote it, so equal content is equal bytes.
 """
 
-import contextlib
 import dataclasses
 import json
 import math
@@ -15,7 +14,6 @@ import typing
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import AbstractArray, jaxtyped
@@ -25,11 +23,9 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.readers.picture_codec import MAX_PIXELS, STORED_PNG, encoded, read_pixels
 
 A = TypeVar("A", bound="Artifact")
-
-MAX_PIXELS = 100_000_000  # of one image: a file of a few kB can unfold to any size
-PNG_COMPRESSION = 3  # of 9: within 5 % of the size of 9 at a tenth of the time
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -257,12 +253,8 @@ def _write_images(folder: Path, stack: Tensor) -> None:
     count = int(np.prod(stack.shape[:-dims]))  # -1 would not do for an empty stack
     images = stack.detach().cpu().reshape(count, *stack.shape[-dims:]).numpy()
     for index, image in enumerate(images):
-        stored = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if dims == 3 else image
-        path = folder / f"{index:06d}.png"
-        done, encoded = cv2.imencode(".png", stored, [cv2.IMWRITE_PNG_COMPRESSION, PNG_COMPRESSION])
-        if not done:
-            raise OSError(f"cannot encode {path}")
-        path.write_bytes(encoded.tobytes())
+        pixels = image if dims == 3 else image[..., None]
+        (folder / f"{index:06d}.png").write_bytes(encoded(pixels, ".png", STORED_PNG))
 
 
 def _read_images(folder: Path, entry: Any, where: str) -> Tensor:
@@ -294,14 +286,12 @@ def _shape(entry: Any) -> tuple[int, ...] | None:
 
 
 def _read_image(path: Path, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Decode a PNG file whose header says that it is of the shape wanted."""
-    image: NDArray[Any] | None = None
-    with contextlib.suppress(OSError, cv2.error):
-        content = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-        size = content[16:24].tobytes()  # width, then height
-        if (int.from_bytes(size[4:], "big"), int.from_bytes(size[:4], "big")) == shape[:2]:
-            mode = cv2.IMREAD_COLOR if len(shape) == 3 else cv2.IMREAD_GRAYSCALE
-            image = cv2.imdecode(content, mode)
-    if image is None or image.shape != shape:
+    """Decode a picture file whose header says that it is of the shape wanted."""
+    try:
+        image = read_pixels(path, (shape[1], shape[0])).values
+    except ArtifactError as error:
+        raise ArtifactError(f"{path} is not an image of shape {shape}; {_REMEDY}") from error
+    image = image if len(shape) == 3 else image[..., 0]
+    if image.dtype != np.uint8 or image.shape != shape:
         raise ArtifactError(f"{path} is not an image of shape {shape}; {_REMEDY}")
-    return image[..., ::-1] if len(shape) == 3 else image
+    return image

@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, Validat
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.contact_sheets import contact_sheet
-from deblur_avatar.imaging.picture_files import encoded, read_picture
+from deblur_avatar.imaging.picture_files import jpeg_bytes, read_picture
 from deblur_avatar.reporting.results_table import method_order
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
@@ -98,7 +98,7 @@ def data_uri(content: bytes, kind: str) -> str:
 
 def picture_uri(picture: Picture) -> str:
     """A picture as a JPEG data address."""
-    return data_uri(encoded(picture, ".jpg"), "image/jpeg")
+    return data_uri(jpeg_bytes(picture), "image/jpeg")
 
 
 def _views(folder: Path) -> dict[tuple[str, int], _View]:

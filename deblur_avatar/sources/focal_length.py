@@ -8,15 +8,14 @@ import math
 import re
 from pathlib import Path
 
-from PIL import ExifTags
-
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import read_exif
+from deblur_avatar.readers.picture_codec import read_attribute
 from deblur_avatar.sources.footage import PICTURES, files_in_order
 from deblur_avatar.sources.video_files import container_metadata
 
 FILM_DIAGONAL = math.hypot(36.0, 24.0)  # millimetres
 EQUIVALENT = re.compile(r"focal.?length.*35", re.IGNORECASE)  # in a container: Apple's, Sony's
+FOCAL_ON_FILM = "Exif:FocalLengthIn35mmFilm"  # millimetres
 SHORTEST, LONGEST = 6.0, 600.0  # millimetres; beyond these the entry is a mistake
 
 
@@ -41,10 +40,9 @@ def focal_of_view(degrees: float, size: tuple[int, int]) -> float:
 def _of_pictures(folder: Path) -> float | None:
     pictures = files_in_order(folder, PICTURES)
     try:
-        entries = read_exif(pictures[0]) if pictures else {}
-    except ArtifactError:  # the picture may be sound even so
+        return _number(read_attribute(pictures[0], FOCAL_ON_FILM)) if pictures else None
+    except ArtifactError:  # said by whoever reads the picture
         return None
-    return _number(entries.get(ExifTags.Base.FocalLengthIn35mmFilm))
 
 
 def _of_video(path: Path) -> float | None:

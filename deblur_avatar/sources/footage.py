@@ -22,7 +22,7 @@ from deblur_avatar.sources.video_files import read_video, shrunk
 
 logger = logging.getLogger(__name__)
 
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr")
 GAP = 1.5  # frame intervals from which on a frame is missing
 
 

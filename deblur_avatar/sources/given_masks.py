@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import read_values
+from deblur_avatar.imaging.picture_files import read_labels
 from deblur_avatar.sources.footage import PICTURES, files_in_order
 
 SAME_SHAPE = 0.02  # share by which a mask's aspect may differ from its frame's
@@ -50,18 +50,14 @@ def read_masks(
 
 
 def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
-    values, mode = read_values(path)
-    if values.ndim == 3:
-        # The alpha channel of a mask is mostly solid; where there is colour, that counts.
-        colour = values[..., :-1] if mode in ("LA", "RGBA", "PA") else values
-        values = colour.max(-1)
+    values, grey = read_labels(path)
     height, width = values.shape
     if abs(width / height - size[0] / size[1]) > SAME_SHAPE * size[0] / size[1]:
         raise ArtifactError(
             f"{path} is {width} x {height}, of another shape than the frames ({size[0]} x {size[1]}"
             " as used); masks must show the whole frame"
         )
-    many = mode == "L" and len(np.unique(values)) >= SOFT_VALUES
+    many = grey and len(np.unique(values)) >= SOFT_VALUES
     soft = many and values.max() >= WHITE  # labels stay far below
     matte = values if soft else np.where(values > 0, 255, 0).astype(np.uint8)
     scaled = (

@@ -10,12 +10,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.camera_motion import background_mask
+from deblur_avatar.imaging.picture_files import write_picture
 
 INSTALL = ".venv/bin/pip install -c constraints.txt --editable '.[calibrate]'"
 MAX_FRAMES = 40  # matched with each other
@@ -46,9 +46,10 @@ def calibrate_focal(
             (folder / kind).mkdir()
         for index in chosen:
             name = f"{index:06d}.png"
-            _write(folder / "frames" / name, frames[index].numpy()[..., ::-1])
-            background = background_mask(mattes[index]).numpy()
-            _write(folder / "masks" / f"{name}.png", np.where(background, 255, 0).astype(np.uint8))
+            write_picture(folder / "frames" / name, frames[index].numpy())
+            background = background_mask(mattes[index]).numpy()[..., None]
+            white = np.where(background, np.uint8(255), np.uint8(0)).repeat(3, axis=2)
+            write_picture(folder / "masks" / f"{name}.png", white)
         pycolmap.set_random_seed(SEED)
         reader = pycolmap.ImageReaderOptions(
             camera_model="SIMPLE_RADIAL",
@@ -83,13 +84,6 @@ def _answer(models: Mapping[int, Any], count: int, longer: int) -> tuple[float |
     if not PLAUSIBLE[0] * longer <= focal <= PLAUSIBLE[1] * longer:
         return None, f"structure from motion gave an implausible focal length: {found}"
     return focal, f"self-calibrated: {found}"
-
-
-def _write(path: Path, picture: UInt8[np.ndarray, "..."]) -> None:
-    done, content = cv2.imencode(".png", np.ascontiguousarray(picture))
-    if not done:
-        raise OSError(f"cannot encode {path}")
-    path.write_bytes(content.tobytes())
 
 
 @contextlib.contextmanager

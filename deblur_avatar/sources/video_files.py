@@ -18,7 +18,7 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import MAX_PIXELS
+from deblur_avatar.readers.picture_codec import MAX_PIXELS
 
 NO_OTHER_FILES = {"protocol_whitelist": "none"}
 

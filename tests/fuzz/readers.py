@@ -30,7 +30,7 @@ from deblur_avatar.evaluation.costs import (
     read_costs,
 )
 from deblur_avatar.imaging import lpips
-from deblur_avatar.imaging.picture_files import read_mask, read_picture
+from deblur_avatar.imaging.picture_files import read_mask, read_picture, write_light
 from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.pipeline.report import read_results
 from deblur_avatar.pipeline.timeline import moments_of
@@ -416,6 +416,7 @@ def _write_masks(folder: Path) -> None:
 
 
 def _write_pictures(folder: Path, turned: bool = True) -> None:
+    write_light(folder / "5.exr", picture(5, 16, 12).astype(np.float32) / 255)
     for index, ending in enumerate(("png", "jpg", "tif", "bmp", "webp")):
         image = Image.fromarray(picture(index, 16, 12))
         exif = Image.Exif()
@@ -428,7 +429,8 @@ def _write_pictures(folder: Path, turned: bool = True) -> None:
 def _read_pictures(folder: Path) -> object:
     """All of them in both ways; the first refusal is the answer."""
     paths = sorted(folder.iterdir())
-    return [(read_picture(path), read_mask(path)) for path in paths]
+    read = [read_picture(path) for path in paths]
+    return read, [read_mask(path) for path in paths if path.suffix != ".exr"]
 
 
 def _footage(path: Path) -> object:

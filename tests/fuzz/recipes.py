@@ -35,7 +35,7 @@ def recipes(suffix: str, good: bytes) -> Iterator[bytes]:
 
 
 PICKLES = (".pkl", ".npy", ".npz", ".pth")
-PICTURES = (".png", ".jpg", ".tif", ".bmp", ".webp")
+PICTURES = (".png", ".jpg", ".tif", ".bmp", ".webp", ".exr")
 
 
 def _nothing(good: bytes) -> Iterator[bytes]:
@@ -459,6 +459,11 @@ def _pictures(good: bytes) -> Iterator[bytes]:
         ]
         table = b"".join(struct.pack("<HHII", *entry) for entry in entries)
         yield b"II*\0\x08\0\0\0" + struct.pack("<H", len(entries)) + table + b"\0" * 4
+    window = b"dataWindow\0box2i\0\x10\0\0\0"
+    if window in good:
+        start = good.index(window) + len(window)
+        for corners in ((0, 0, 2**31 - 1, 2**31 - 1), (-(2**31), 0, 9, 9), (0, 0, 9_999, 9_999)):
+            yield good[:start] + struct.pack("<iiii", *corners) + good[start + 16 :]
     loop = struct.pack("<H", 1) + struct.pack("<HHII", 34665, 4, 1, 8) + struct.pack("<I", 8)
     yield b"II*\0\x08\0\0\0" + loop
 

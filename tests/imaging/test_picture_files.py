@@ -1,13 +1,19 @@
+import zlib
+
 import cv2
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.imaging.picture_files import (
-    encoded,
+    jpeg_bytes,
+    read_labels,
     read_mask,
     read_picture,
+    write_light,
     write_picture,
 )
 
@@ -39,7 +45,7 @@ def test_equal_pictures_are_equal_bytes(tmp_path, picture):
 def test_jpeg_stays_near_a_smooth_picture(tmp_path):
     ramp = np.broadcast_to(np.linspace(0, 255, 32, dtype=np.uint8)[:, None], (32, 32))
     smooth = np.stack([ramp, ramp[::-1], ramp.T], -1)
-    (tmp_path / "a.jpg").write_bytes(encoded(smooth, ".jpg"))
+    (tmp_path / "a.jpg").write_bytes(jpeg_bytes(smooth))
     difference = np.abs(read_picture(tmp_path / "a.jpg").astype(int) - smooth)
     assert difference.mean() < 5
 
@@ -152,16 +158,59 @@ def test_a_small_file_of_a_huge_picture_is_refused(tmp_path):
             read(tmp_path / "bomb.png")
 
 
-def test_a_picture_that_was_cut_off_is_refused(tmp_path):
+@pytest.mark.parametrize("ending", ["png", "jpg", "tif", "bmp", "webp", "ppm"])
+def test_a_picture_that_was_cut_off_is_refused(tmp_path, ending):
     noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-    for suffix in (".png", ".jpg"):
-        whole = encoded(noise, suffix)
-        (tmp_path / f"a{suffix}").write_bytes(whole[: len(whole) // 2])
-        with pytest.raises(ArtifactError, match=r"not a picture that can be read: .*truncated"):
-            read_picture(tmp_path / f"a{suffix}")
+    path = tmp_path / f"a.{ending}"
+    Image.fromarray(noise).save(path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(ArtifactError, match=r"not a picture that can be read: .*; copy or make"):
+        read_picture(path)
 
 
-def test_floating_point_values_are_refused(tmp_path):
+def test_values_of_unknown_meaning_are_refused(tmp_path):
     Image.fromarray(np.ones((2, 2), np.float32)).save(tmp_path / "a.tiff")
-    with pytest.raises(ArtifactError, match="floating-point numbers, wanted 8 or 16 bits"):
+    with pytest.raises(ArtifactError, match="values are float32 numbers, wanted 8 or 16 bits"):
         read_picture(tmp_path / "a.tiff")
+    with pytest.raises(ArtifactError, match="values are float32 numbers, wanted integers"):
+        read_mask(tmp_path / "a.tiff")
+    Image.new("LAB", (2, 2)).save(tmp_path / "a.tiff")
+    with pytest.raises(ArtifactError, match="colours are in CIELAB, wanted grey, RGB or CMYK"):
+        read_picture(tmp_path / "a.tiff")
+
+
+def test_light_is_read_as_the_srgb_that_it_looks_like(tmp_path):
+    light = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32) * 1.2
+    write_light(tmp_path / "a.exr", light)
+    stored = torch.from_numpy(light.astype(np.float16).astype(np.float32).clip(0, 1))
+    wanted = (linear_to_srgb(stored) * 255).round().numpy().astype(np.uint8)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.exr"), wanted)
+    write_light(tmp_path / "a.exr", np.full((2, 2, 3), np.nan, np.float32))
+    with pytest.raises(ArtifactError, match="values that are not finite"):
+        read_picture(tmp_path / "a.exr")
+
+
+def test_a_png_file_may_say_that_it_holds_light(tmp_path, picture):
+    path = tmp_path / "a.png"
+    write_picture(path, picture)
+    content, gamma = path.read_bytes(), b"gAMA" + (100_000).to_bytes(4, "big")  # an exponent of 1
+    chunk = b"\0\0\0\4" + gamma + zlib.crc32(gamma).to_bytes(4, "big")
+    path.write_bytes(content[:33] + chunk + content[33:])
+    wanted = (linear_to_srgb(torch.from_numpy(picture / 255)) * 255).round()
+    np.testing.assert_array_equal(read_picture(path), wanted.numpy().astype(np.uint8))
+
+
+def test_only_eight_bits_of_grey_may_be_coverage(tmp_path, picture):
+    pictures = {
+        "grey": Image.fromarray(picture[..., 0]),
+        "sixteen": Image.fromarray(picture[..., 0].astype(np.uint16)),
+        "colours": Image.fromarray(picture),
+        "palette": Image.fromarray(picture[..., 0], mode="P"),
+    }
+    pictures["palette"].putpalette([7, 7, 7] * 256)
+    for name, made in pictures.items():
+        made.save(tmp_path / f"{name}.png")
+        labels, grey = read_labels(tmp_path / f"{name}.png")
+        wanted = picture.max(-1) if name == "colours" else picture[..., 0]
+        np.testing.assert_array_equal(labels, wanted, err_msg=name)
+        assert grey == (name == "grey"), name
