@@ -1,8 +1,8 @@
 """How calibration files become cameras.
 
-One reader a kind of file, chosen by how the file's name ends. A reader turns its format's axes,
-units and pixel origin into those of `Cameras`: OpenCV axes, metres, the centre of the top left
-pixel at (0.5, 0.5).
+One reader a kind of file, chosen by how the file's name ends; a folder is COLMAP's. A reader turns
+its format's axes, units and pixel origin into those of `Cameras`: OpenCV axes, metres, the centre
+of the top left pixel at (0.5, 0.5).
 """
 
 import math
@@ -11,7 +11,7 @@ import tomllib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,35 +20,35 @@ import torch
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
+from deblur_avatar.sources.calibrated_camera import CalibratedCamera, rigid
+from deblur_avatar.sources.colmap_files import read_colmap
 
 LONGEST_SIDE = 100_000  # pixels
-PIXEL_CENTRE = 0.5  # both formats put the top left pixel's centre at 0
-
-
-class _Camera(NamedTuple):
-    name: str
-    K: np.ndarray
-    viewmat: np.ndarray
-    distortion: np.ndarray
-    size: tuple[float, float]  # width, height
+PIXEL_CENTRE = 0.5  # Qualisys and Pose2Sim put the top left pixel's centre at 0
 
 
 def read_calibration(path: Path, count: int) -> Cameras:
     """Read the calibration of `count` cameras, in the file's order.
 
     Args:
-        path: `*.qca.txt` (Qualisys) or `*.toml` (Pose2Sim).
+        path: `*.qca.txt` (Qualisys), `*.toml` (Pose2Sim), or the folder of a COLMAP reconstruction
+            (`sparse/0`), whose order is that of its images' names.
         count: how many cameras the scene has.
 
     Raises:
         ArtifactError: naming the file and the camera, if it is missing or damaged, is of an
             unknown kind, holds another number of cameras or one that cannot exist.
     """
-    readers = [reader for ending, reader in READERS.items() if str(path).endswith(ending)]
-    if not readers:
-        raise ArtifactError(f"{path}: unknown kind of calibration; known are {', '.join(READERS)}")
-    if not path.is_file():
+    if not path.exists():
         raise ArtifactError(f"no calibration {path}; check the scene's root and calibration")
+    readers = [reader for ending, reader in READERS.items() if str(path).endswith(ending)]
+    if path.is_dir():
+        readers = [read_colmap]
+    elif not readers:
+        raise ArtifactError(
+            f"{path}: unknown kind of calibration; known are {', '.join(READERS)} and the folder "
+            "of a COLMAP reconstruction"
+        )
     try:
         cameras = readers[0](path)
     except ArtifactError:
@@ -90,7 +90,7 @@ def _stacked(arrays: list[np.ndarray]) -> torch.Tensor:
     return torch.from_numpy(np.stack(arrays)).float()
 
 
-def _read_qualisys(path: Path) -> list[_Camera]:
+def _read_qualisys(path: Path) -> list[CalibratedCamera]:
     """Qualisys Track Manager's XML.
 
     Intrinsics are in 1/64 pixels. `r11`..`r33`, transposed, turn the camera's axes (+X right,
@@ -99,7 +99,7 @@ def _read_qualisys(path: Path) -> list[_Camera]:
     return [_qualisys_camera(path, node) for node in ElementTree.parse(path).iter("camera")]
 
 
-def _qualisys_camera(path: Path, node: ElementTree.Element) -> _Camera:
+def _qualisys_camera(path: Path, node: ElementTree.Element) -> CalibratedCamera:
     name = node.get("serial", "without serial")
 
     def number(element: str, attribute: str) -> float:
@@ -118,16 +118,16 @@ def _qualisys_camera(path: Path, node: ElementTree.Element) -> _Camera:
                     "tangentalDistortion2", "radialDistortion3")  # fmt: skip
     edges = {edge: number("fov_video", edge) for edge in ("left", "top", "right", "bottom")}
     size = (edges["right"] - edges["left"] + 1, edges["bottom"] - edges["top"] + 1)
-    return _Camera(
+    return CalibratedCamera(
         name=name,
         K=K,
-        viewmat=_rigid(opencv_from_world, -opencv_from_world @ centre),
+        viewmat=rigid(opencv_from_world, -opencv_from_world @ centre),
         distortion=np.array([number("intrinsic", key) for key in coefficients]),
         size=size,
     )
 
 
-def _read_pose2sim(path: Path) -> list[_Camera]:
+def _read_pose2sim(path: Path) -> list[CalibratedCamera]:
     """Pose2Sim's TOML: a table a camera, OpenCV's conventions, rotation as axis-angle, metres."""
     text = path.read_text()
     if re.search(r"(\w+\s*\.\s*){9}", text):  # tomllib needs time and memory as their square
@@ -140,7 +140,7 @@ def _read_pose2sim(path: Path) -> list[_Camera]:
     ]
 
 
-def _pose2sim_camera(where: str, key: str, table: Mapping[str, Any]) -> _Camera:
+def _pose2sim_camera(where: str, key: str, table: Mapping[str, Any]) -> CalibratedCamera:
     if table.get("fisheye", False):
         raise ArtifactError(f"{where}: fisheye lenses are not modelled; undistort the video first")
     K = _array(table, "matrix", where, (3, 3))
@@ -150,16 +150,16 @@ def _pose2sim_camera(where: str, key: str, table: Mapping[str, Any]) -> _Camera:
         raise ArtifactError(f"{where}: distortions must be 4 or 5 numbers, got {len(distortion)}")
     rotation, _ = cv2.Rodrigues(_array(table, "rotation", where, (3,)))
     size = _array(table, "size", where, (2,))
-    return _Camera(
+    return CalibratedCamera(
         name=str(table.get("name", key)),
         K=K,
-        viewmat=_rigid(rotation, _array(table, "translation", where, (3,))),
+        viewmat=rigid(rotation, _array(table, "translation", where, (3,))),
         distortion=np.pad(distortion, (0, 5 - len(distortion))),
         size=(float(size[0]), float(size[1])),
     )
 
 
-READERS: dict[str, Callable[[Path], list[_Camera]]] = {
+READERS: dict[str, Callable[[Path], list[CalibratedCamera]]] = {
     ".qca.txt": _read_qualisys,
     ".toml": _read_pose2sim,
 }
@@ -189,10 +189,3 @@ def _number(text: str | None, where: str) -> float:
     if not math.isfinite(value):
         raise ArtifactError(f"{where} must be finite, got {text!r}")
     return value
-
-
-def _rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = rotation
-    viewmat[:3, 3] = translation
-    return viewmat

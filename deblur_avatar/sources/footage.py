@@ -76,11 +76,14 @@ def read_footage(
 def files_in_order(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of these kinds, numbers in their names counted as numbers: `f2` before `f10`."""
     found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
-    return sorted((path for path in found if path.is_file()), key=_natural)
+    return sorted(
+        (path for path in found if path.is_file()), key=lambda path: natural_order(path.name)
+    )
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    pieces = re.split(r"(\d+)", path.name)
+def natural_order(name: str) -> list[tuple[int, int, str]]:
+    """What to sort names by, so that `f2` comes before `f10`."""
+    pieces = re.split(r"(\d+)", name)
     return [(0, int(piece), "") if piece.isdecimal() else (1, 0, piece) for piece in pieces]
 
 

@@ -1,7 +1,7 @@
 """The focal length of a camera that moves, from the background it moves past.
 
-Structure from motion with pycolmap, an optional package of 134 MB. The person is masked out. A
-camera that stands still tells nothing, and then there is no answer rather than a guess.
+Structure from motion with pycolmap. The person is masked out. A camera that stands still tells
+nothing, and then there is no answer rather than a guess.
 """
 
 import contextlib
@@ -17,7 +17,6 @@ from torch import Tensor
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.picture_files import write_picture
 
-INSTALL = ".venv/bin/pip install -c constraints.txt --editable '.[calibrate]'"
 MAX_FRAMES = 40  # matched with each other
 SHARE_PLACED = 0.5  # of the frames that must be placed for the answer to be believed
 FIRST_GUESS = 1.0  # of the picture's longer side
@@ -34,10 +33,8 @@ def calibrate_focal(
     Returns:
         The focal length or None, and in words how it was found or why it was not.
     """
-    try:
-        import pycolmap
-    except ImportError:
-        return None, f"pycolmap is not installed ({INSTALL})"
+    import pycolmap  # half a second, for those alone who calibrate themselves
+
     chosen = np.linspace(0, len(frames) - 1, min(MAX_FRAMES, len(frames))).round().astype(int)
     longer = max(frames.shape[1:3])
     with tempfile.TemporaryDirectory() as scratch, _quiet(pycolmap):

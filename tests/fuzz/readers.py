@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 import json
 import pickle
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
@@ -299,6 +300,24 @@ fisheye = false
     (folder / "a.toml").write_text(table.format(1) + table.format(2) + end)
 
 
+def _write_colmap(folder: Path) -> None:
+    """Two cameras as COLMAP writes them: a lens with one coefficient, no points."""
+    lenses, views = struct.pack("<Q", 2), struct.pack("<Q", 2)
+    for key in (1, 2):
+        lenses += struct.pack("<iiQQ4d", key, 2, 640, 480, 500.0, 320.0, 240.0, -0.05)
+        views += struct.pack("<I7dI", key, 0.6, 0.0, 0.8, 0.0, 0.5, 1.0, 4.0, key)
+        views += b"cam%d.png\0" % key + struct.pack("<Q", 1) + struct.pack("<ddq", 1.0, 2.0, -1)
+    (folder / "cameras.bin").write_bytes(lenses)
+    (folder / "images.bin").write_bytes(views)
+
+
+def _write_colmap_text(folder: Path) -> None:
+    lens = "SIMPLE_RADIAL 640 480 500.0 320.0 240.0 -0.05"
+    (folder / "cameras.txt").write_text(f"# lenses\n1 {lens}\n2 {lens}\n")
+    view = "0.6 0.0 0.8 0.0 0.5 1.0 4.0"
+    (folder / "images.txt").write_text(f"1 {view} 1 a.png\n1.0 2.0 -1\n2 {view} 2 b.png\n\n")
+
+
 # --- motions ------------------------------------------------------------------------------------
 
 _BVH = """HIERARCHY
@@ -520,6 +539,8 @@ READERS: tuple[Reader, ...] = (
     ),
     Reader("Qualisys", _write_qualisys, lambda f: read_calibration(f / "a.qca.txt", 2)),
     Reader("Pose2Sim", _write_pose2sim, lambda f: read_calibration(f / "a.toml", 2)),
+    Reader("COLMAP", _write_colmap, lambda f: read_calibration(f, 2)),
+    Reader("COLMAP as text", _write_colmap_text, lambda f: read_calibration(f, 2)),
     Reader("BVH", _write_bvh, lambda f: _motion(f / "motion.bvh")),
     Reader("AMASS", _write_amass, lambda f: _motion(f / "motion.npz")),
     Reader("AIST++", _write_aist, lambda f: _motion(f / "motion.pkl")),

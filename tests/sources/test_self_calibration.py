@@ -1,5 +1,3 @@
-import builtins
-
 import cv2
 import numpy as np
 import pytest
@@ -57,29 +55,12 @@ def filmed(walks: bool) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def test_a_walking_camera_s_focal_length_is_found():
-    pytest.importorskip("pycolmap")
     focal, how = calibrate_focal(*filmed(walks=True))
     assert focal == pytest.approx(FOCAL, rel=0.02)
     assert "12 of 12 frames placed" in how
 
 
 def test_a_still_camera_gives_no_answer():
-    pytest.importorskip("pycolmap")
     focal, how = calibrate_focal(*filmed(walks=False))
     assert focal is None
     assert "no way of the camera" in how or "not to be believed" in how
-
-
-def test_without_pycolmap_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch):
-    real = builtins.__import__
-
-    def refuse(name: str, *rest: object) -> object:
-        if name == "pycolmap":
-            raise ImportError(name)
-        return real(name, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    frames = torch.zeros(2, 8, 8, 3, dtype=torch.uint8)
-    focal, how = calibrate_focal(frames, frames[..., 0])
-    assert focal is None
-    assert "calibrate" in how
