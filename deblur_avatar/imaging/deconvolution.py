@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
+from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 from torch.nn import functional
 
@@ -72,9 +73,7 @@ def unclearness(matte: Float[Tensor, "H W"], surroundings: float) -> Float[Tenso
         surroundings: standard deviation of the Gaussian window, pixels.
     """
     reach = math.ceil(3 * surroundings)
-    offset = torch.arange(-reach, reach + 1, dtype=matte.dtype)
-    window = torch.exp(-(offset**2) / (2 * surroundings**2))
-    window = window / window.sum()
+    window = get_gaussian_kernel1d(2 * reach + 1, surroundings, dtype=matte.dtype)[0]
     values = (matte * (1 - matte)).abs()[None, None]
     rows = functional.conv2d(values, window[None, None, :, None], padding=(reach, 0))
     return functional.conv2d(rows, window[None, None, None, :], padding=(0, reach))[0, 0]

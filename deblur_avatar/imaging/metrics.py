@@ -14,6 +14,7 @@ import flip_evaluator
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 from torch.nn import functional
 
@@ -147,9 +148,7 @@ def _not_measured(images: Images) -> Scores:
 
 
 def _gaussian_window() -> Float[Tensor, " S"]:
-    offset = torch.arange(GAUSSIAN_SIZE, dtype=torch.float64) - GAUSSIAN_SIZE // 2
-    weight = (-offset.square() / (2 * GAUSSIAN_SIGMA**2)).exp()
-    return weight / weight.sum()
+    return get_gaussian_kernel1d(GAUSSIAN_SIZE, GAUSSIAN_SIGMA, dtype=torch.float64)[0]
 
 
 def _similarity(

@@ -59,7 +59,7 @@ def read_colmap(folder: Path) -> list[CalibratedCamera]:
 
 
 def _camera(folder: Path, view: _View, lens: _Lens) -> CalibratedCamera:
-    import pycolmap  # half a second, for those alone who have such files
+    import pycolmap  # 134 MB of libraries, for those alone who have such files
 
     where = f"{folder}: camera {view.name}"
     if lens.model not in LENSES:

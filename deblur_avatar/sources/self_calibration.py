@@ -33,7 +33,7 @@ def calibrate_focal(
     Returns:
         The focal length or None, and in words how it was found or why it was not.
     """
-    import pycolmap  # half a second, for those alone who calibrate themselves
+    import pycolmap  # 134 MB of libraries, for those alone who need them
 
     chosen = np.linspace(0, len(frames) - 1, min(MAX_FRAMES, len(frames))).round().astype(int)
     longer = max(frames.shape[1:3])

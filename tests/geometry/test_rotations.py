@@ -1,5 +1,6 @@
 import pytest
 import torch
+from kornia.geometry import conversions
 from scipy.spatial.transform import Rotation
 
 from deblur_avatar.geometry.rotations import (
@@ -20,6 +21,19 @@ EDGES = torch.tensor(
     [[0, 0, 0], [1e-9, 0, 0], [0, 3e-5, 0], [0, 0, 3.14159], [3.1415, 0, 0], [1e-4, 1e-4, 0]],
     dtype=torch.float64,
 )
+
+
+@pytest.mark.parametrize("axis_angle", [RANDOM, EDGES])
+def test_conversions_are_kornias(axis_angle):
+    quats = axis_angle_to_quat(axis_angle)
+    matrices = axis_angle_to_matrix(axis_angle)
+    for own, kornias in (
+        (quats, conversions.axis_angle_to_quaternion(axis_angle)),
+        (quat_to_axis_angle(quats), conversions.quaternion_to_axis_angle(quats)),
+        (quat_to_matrix(quats), conversions.quaternion_to_rotation_matrix(quats)),
+        (matrices, conversions.axis_angle_to_rotation_matrix(axis_angle)),
+    ):
+        torch.testing.assert_close(own, kornias, atol=1e-9, rtol=0)
 
 
 @pytest.mark.parametrize("axis_angle", [RANDOM, EDGES])
