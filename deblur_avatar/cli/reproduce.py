@@ -10,18 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from deblur_avatar.bodies.smpl import SmplBodyParams
-from deblur_avatar.config.reading import (
-    expand_environment,
-    load_params,
-    read_yaml,
-)
+from deblur_avatar.config.reading import load_params, read_yaml
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.body import BodyParams
 from deblur_avatar.pipeline.parameters import SceneParams, check_parameters
-from deblur_avatar.sources.monocular import MonocularParams
-from deblur_avatar.sources.multiview import MultiviewParams
-from deblur_avatar.sources.zju_mocap.params import ZjuMocapParams
 
 logger = logging.getLogger(__name__)
 
@@ -39,26 +31,11 @@ def missing_footage(params_file: Path) -> dict[str, str]:
     for scene in load_params(params_file, "scenes", dict):
         params = load_params(params_file, f"scenes.{scene}", SceneParams)
         body = load_params(params_file, f"bodies.{params.body}", BodyParams)
-        wanted = []
-        if isinstance(params.clip, MultiviewParams | ZjuMocapParams):
-            wanted.append((f"scenes.{scene}.clip.root", params.clip.root, "folder"))
-        if isinstance(params.clip, MonocularParams):
-            wanted.append((f"scenes.{scene}.clip.path", params.clip.path, "video and no folder"))
-        if isinstance(body, SmplBodyParams):
-            wanted.append((f"bodies.{params.body}.file", body.file, "SMPL file"))
-        reasons = [reason for entry in wanted if (reason := _why_missing(*entry))]
+        reasons = params.clip.missing_files(f"scenes.{scene}.clip")
+        reasons += body.missing_files(f"bodies.{params.body}")
         if reasons:
             missing[scene] = "; ".join(reasons)
     return missing
-
-
-def _why_missing(key: str, text: str, kind: str) -> str | None:
-    try:
-        path = Path(expand_environment(text, key))
-    except ConfigError as error:
-        return str(error)
-    there = path.is_dir() if kind == "folder" else path.exists()
-    return None if there else f"no {kind} {path} ({key})"
 
 
 def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
