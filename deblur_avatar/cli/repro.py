@@ -4,14 +4,13 @@ Scenes whose files are missing are named and left out; everything else is reprod
 is written over all results there are.
 """
 
+import argparse
 import logging
-import os
-import subprocess
-import sys
 from pathlib import Path
 
+from deblur_avatar.cli.report import show_report
+from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.config.reading import load_params, read_yaml
-from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.body import BodyParams
 from deblur_avatar.pipeline.parameters import SceneParams, check_parameters
 
@@ -53,32 +52,16 @@ def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
     ]
 
 
-def main() -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """None."""
+
+
+def run(asked: argparse.Namespace) -> int:
     """Reproduce, then write and print the report's table; returns DVC's exit code."""
-    dvc = [sys.executable, "-m", "dvc"]
-    # Stage commands say `python`: the environment's own, whatever the shell's path says.
-    here = str(Path(sys.executable).parent)
-    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', '')}"}
+    check_checkout(Path())
     missing = missing_footage(PARAMS)
     for scene, reason in missing.items():
         logger.warning("scene %s is left out: %s", scene, reason)
     wanted = targets(PARAMS, missing)
-    steps = [[*dvc, "repro", *wanted]]
-    if wanted:
-        steps.append([*dvc, "repro", "--single-item", "report"])
-    for step in steps:
-        code = subprocess.run(step, env=environment, check=False).returncode
-        if code != 0:
-            return code
-    logger.info("%s", Path("reports/table.md").read_text())
-    logger.info("The report: reports/index.html")
-    return 0
-
-
-if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
-    try:
-        raise SystemExit(main())
-    except ConfigError as error:
-        sys.stderr.write(f"ConfigError: {error}\n")
-        raise SystemExit(1) from None
+    code = reproduce(wanted, *([["--single-item", "report"]] if wanted else []))
+    return code or show_report()
