@@ -22,18 +22,18 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $(STAMP)
 
 repro: code
-	$(BIN)/python -m deblur_avatar.cli.reproduce
+	$(BIN)/deblur-avatar repro
 
 # From a video (or a folder of pictures) to an avatar: make avatar VIDEO=clip.mp4 [NAME=...] [METHOD=lean]
 # [SCHEDULE=medium]
 avatar: code
 	$(if $(VIDEO),,$(error make avatar needs a video: make avatar VIDEO=clip.mp4))
-	$(BIN)/python -m deblur_avatar.cli.video --video "$(VIDEO)" --name "$(NAME)" \
+	$(BIN)/deblur-avatar video "$(VIDEO)" --name "$(NAME)" \
 	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),medium)
 
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: code
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/dvc repro check$(if $(SCENE),@$(SCENE))
+	$(BIN)/deblur-avatar check $(SCENE)
 
 # Where methods fail, on small scenes with known truth: stability/reports/index.html. Scenes first, then two methods
 # at a time.

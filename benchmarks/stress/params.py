@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from deblur_avatar.config.section import NonNegative, Params
-from deblur_avatar.sources.studio.params import StudioParams
+from deblur_avatar.sources.studio.source import StudioParams
 
 
 class StabilitySceneParams(Params):

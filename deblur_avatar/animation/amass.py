@@ -21,6 +21,7 @@ BODY = 66  # numbers of the root and the 21 joints that all models of the family
 RATES = ("mocap_framerate", "mocap_frame_rate")  # SMPL-H files and SMPL-X files
 FASTEST = 1e6  # frames a second
 MAX_VALUE = 1e6  # of an angle or a place
+UPRIGHT_FROM_AMASS = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # +Z to +Y
 WIDTHS = (66, 72, 156, 165)  # the body alone, SMPL, SMPL-H, SMPL-X
 
 
@@ -57,11 +58,11 @@ def read_amass(path: Path) -> BodyMotion:
             f"{path}: poses and trans must be radians and metres, under {MAX_VALUE:g}"
         )
     axis_angle = torch.from_numpy(poses[:, :BODY].astype(np.float32)).reshape(-1, BODY // 3, 3)
-    upright = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # +Z to +Y
+    root = UPRIGHT_FROM_AMASS @ axis_angle_to_matrix(axis_angle[:, 0])
     hands = axis_angle.new_zeros(len(axis_angle), 2, 3)
     return BodyMotion(
         fps=fps,
-        global_orient=matrix_to_axis_angle(upright @ axis_angle_to_matrix(axis_angle[:, 0])),
+        global_orient=matrix_to_axis_angle(root),
         body_pose=torch.cat([axis_angle[:, 1:], hands], dim=1),
-        transl=torch.from_numpy(trans.astype(np.float32)) @ upright.T,
+        transl=torch.from_numpy(trans.astype(np.float32)) @ UPRIGHT_FROM_AMASS.T,
     )

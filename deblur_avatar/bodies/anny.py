@@ -36,6 +36,14 @@ class AnnyBodyParams(Params):
     source: Literal["anny"]
     shape_components: Annotated[int, Field(ge=1, le=20)]
 
+    def build(self) -> Body:
+        """Bake it."""
+        return bake_anny(self.shape_components)
+
+    def missing_files(self, where: str) -> tuple[str, ...]:
+        """None: Anny is installed."""
+        return ()
+
 
 logger = logging.getLogger(__name__)
 

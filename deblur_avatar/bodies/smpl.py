@@ -17,9 +17,8 @@ from deblur_avatar.artifacts.body import (
     SMPL_PARENTS,
     Body,
 )
-from deblur_avatar.config.section import (
-    Params,
-)
+from deblur_avatar.config.reading import expand_environment, missing_file
+from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.readers.npz_files import load_npz
 from deblur_avatar.readers.pickles import Record, load_arrays
@@ -31,6 +30,15 @@ class SmplBodyParams(Params):
     source: Literal["smpl"]
     file: str
     shape_components: Annotated[int, Field(ge=1, le=300)]
+
+    def build(self) -> Body:
+        """Read it, as `read_smpl`."""
+        where = f"bodies: file (an SMPL model, from {DOWNLOAD_PAGE}; or use the body anny)"
+        return read_smpl(Path(expand_environment(self.file, where)), self.shape_components)
+
+    def missing_files(self, where: str) -> tuple[str, ...]:
+        """The model's file, where it is not here."""
+        return missing_file(self.file, f"{where}.file", "SMPL file")
 
 
 DOWNLOAD_PAGE = "https://smpl.is.tue.mpg.de"

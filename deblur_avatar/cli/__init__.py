@@ -1,1 +1,1 @@
-"""Command line."""
+"""The command line: one module a subcommand."""

@@ -1,7 +1,7 @@
-"""From a video to an avatar in one command: `make avatar VIDEO=clip.mp4`.
+"""From a video of one person to an avatar, a check and a report.
 
-Writes `avatars/<name>/params.yaml` (once; it is the user's to change) and beside it a copy of the
-root's `dvc.yaml`, checks the scene, and lets DVC make the rest: the avatar, a video of it doing
+Writes avatars/<name>/params.yaml (once; it is the user's to change) and beside it a copy of the
+root's dvc.yaml, checks the scene, and lets DVC make the rest: the avatar, a video of it doing
 what was filmed while the camera goes round, and a report. All results lie below that folder.
 """
 
@@ -10,19 +10,18 @@ import logging
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 
+from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.config.reading import (
     read_params,
     read_yaml,
     section_of,
 )
-from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import PIPELINE
 from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.sources.footage import read_footage
@@ -65,7 +64,7 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
     starts = section_of(shared, root / PARAMS, "starts", dict)
     start = method if method in starts else DEFAULT_START  # of methods that have none of their own
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise ConfigError(f"NAME={name}: a name is small letters, digits and _, a letter first")
+        raise ConfigError(f"--name {name}: a name is small letters, digits and _, a letter first")
     folder = root / AVATARS / name
     if (folder / PARAMS).is_file():
         content = _own(folder / PARAMS, name, video)
@@ -96,28 +95,25 @@ def targets(folder: Path, method: str) -> list[str]:
     ]
 
 
-def main(arguments: list[str] | None = None) -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of the subcommand."""
+    parser.add_argument("video", type=Path, help="a video file or a folder of pictures")
+    parser.add_argument("--name", default="", help="of the avatar; default: after the file")
+    parser.add_argument("--method", default="lean", help="a row of the tables (default: lean)")
+    parser.add_argument("--schedule", default="medium", help="of params.yaml (default: medium)")
+
+
+def run(asked: argparse.Namespace) -> int:
     """Prepare and run; returns DVC's exit code."""
-    parser = argparse.ArgumentParser(description=prepare.__doc__)
-    parser.add_argument("--video", type=Path, required=True)
-    parser.add_argument("--name", default="")
-    parser.add_argument("--method", default="lean")
-    parser.add_argument("--schedule", default="medium")
-    asked = parser.parse_args(arguments)
     root = Path()
+    check_checkout(root)
     folder = prepare(
         asked.video, asked.name or name_of(asked.video), asked.method, asked.schedule, root
     )
-    dvc = [sys.executable, "-m", "dvc", "repro"]
-    # Stage commands say `python`: the environment's own, whatever the shell's path says.
-    here = str(Path(sys.executable).parent)
-    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', '')}"}
-    steps = [[*dvc, target] for target in targets(folder, asked.method)]
-    steps.append([*dvc, "--single-item", f"{folder}/{PIPELINE}:report"])
-    for step in steps:
-        code = subprocess.run(step, env=environment, check=False).returncode
-        if code != 0:
-            return code
+    steps = [[target] for target in targets(folder, asked.method)]
+    code = reproduce(*steps, ["--single-item", f"{folder}/{PIPELINE}:report"])
+    if code != 0:
+        return code
     run = f"{folder.name}-{asked.method}"
     logger.info("The check:    %s/data/check/%s/index.html", folder, folder.name)
     logger.info("The avatar:   %s/data/fusion/%s/avatar", folder, run)
@@ -233,12 +229,3 @@ def _write(path: Path, content: dict[str, Any]) -> None:
     with path.open("w") as file:
         file.write(HEADER)
         yaml.dump(content, file)
-
-
-if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
-    try:
-        raise SystemExit(main())
-    except (ConfigError, ArtifactError) as error:
-        sys.stderr.write(f"{type(error).__name__}: {error}\n")
-        raise SystemExit(1) from None

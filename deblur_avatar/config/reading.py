@@ -121,6 +121,23 @@ def expand_environment(text: str, where: str) -> str:
     return text
 
 
+def missing_file(text: str, where: str, wanted: str, *, folder: bool = False) -> tuple[str, ...]:
+    """Why a file that a parameter names cannot be read here: one reason, or none if it is there.
+
+    Args:
+        text: the path; may hold `$(VARIABLE:-default)`.
+        where: the parameter's key.
+        wanted: what should lie there, for the message.
+        folder: whether it must be a folder.
+    """
+    try:
+        path = Path(expand_environment(text, where))
+    except ConfigError as error:
+        return (str(error),)
+    there = path.is_dir() if folder else path.exists()
+    return () if there else (f"no {wanted} {path} ({where})",)
+
+
 def read_yaml(path: Path) -> Any:
     """Read a YAML 1.2 file as DVC does (`1e-3` is a number, `no` is a word).
 

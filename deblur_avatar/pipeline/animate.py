@@ -1,32 +1,24 @@
-"""An avatar in motions that it was not filmed in."""
+"""Animation: an avatar in motions that it was not filmed in."""
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterable
 from typing import Annotated
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from pydantic import Field
 from torch import Tensor
 
 from deblur_avatar.animation.captured_motion import own_motion
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.motion_files import read_motion
-from deblur_avatar.animation.placement import (
-    framed_intrinsics,
-    level_view,
-    place,
-)
+from deblur_avatar.animation.showing import Progress, plan_shot, render_shot
 from deblur_avatar.artifacts.avatar import Avatar
-from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.config.reading import expand_environment
 from deblur_avatar.config.section import (
     Fraction,
@@ -60,7 +52,6 @@ logger = logging.getLogger(__name__)
 
 OWN = "own"  # the motion that was filmed
 SHEET_FRAMES, SHEET_COLUMNS, SHEET_SIDE = 12, 6, 256  # pictures, pictures a row, pixels of each
-FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
 
 
 def animate(
@@ -71,9 +62,9 @@ def animate(
     *,
     where: str,
     device: torch.device,
-    progress: Callable[[Iterable[int], str], Iterable[int]],
+    progress: Progress,
 ) -> UInt8[Tensor, "F H W 3"]:
-    """Draw an avatar doing a motion, seen from where its training camera stood.
+    """Render an avatar doing a motion, seen from where its training camera stood.
 
     The person keeps its shape, stands where it was filmed and faces the camera at first.
 
@@ -90,28 +81,18 @@ def animate(
         ConfigError: if there is no such motion, or it cannot be shown from this camera.
         ArtifactError: if the motion's file is damaged.
     """
-    body, cameras = observations.body, observations.cameras
+    camera, cameras = observations.train_camera, observations.cameras
     filmed = dataclasses.replace(observations.poses, betas=avatar.betas)
     motion = _motion(fitted, observations, avatar, params, where)
     try:
-        # Only where the camera stands decides what it sees; real ones often hang askew.
-        viewmat = level_view(body, filmed, cameras.viewmats[observations.train_camera])
-        poses = place(motion, body, filmed, viewmat, turns=params.turns, travel=params.travel)
-        points = _surfaces(body, poses)
-        K = framed_intrinsics(
-            points, cameras.Ks[observations.train_camera], viewmat, params.image_size, params.margin
-        )
+        shot = plan_shot(
+            motion, observations.body, filmed, cameras.Ks[camera], cameras.viewmats[camera],
+            size=params.image_size, margin=params.margin, turns=params.turns, travel=params.travel,
+        )  # fmt: skip
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from None
-    logger.info("%d frames of %s at %g a second", len(poses.transl), params.motion, params.fps)
-    model = AvatarModel.from_artifact(avatar, body, device)
-    size = params.image_size
-    K, viewmat = K.to(device), viewmat.to(device)
-    frames = []
-    for index in progress(range(len(poses.transl)), "animate"):
-        image, _ = render_avatar(model, poses.at([index]), K, viewmat, size, size)
-        frames.append((image[0].cpu() * 255).round().to(torch.uint8))
-    return torch.stack(frames)
+    logger.info("%d frames of %s at %g a second", len(shot.poses.transl), params.motion, params.fps)
+    return render_shot(AvatarModel.from_artifact(avatar, observations.body, device), shot, progress)
 
 
 def _motion(
@@ -131,15 +112,6 @@ def _motion(
         fps=params.fps,
         start=params.start,
         seconds=params.seconds,
-    )
-
-
-def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
-    """Vertices in a few of the poses; one by one, to bound the memory that blend weights take."""
-    step = -(-len(poses.transl) // FRAMING_POSES)
-    few = [poses.at([index]) for index in range(0, len(poses.transl), step)]
-    return torch.cat(
-        [posed_vertices(body, p.betas, p.global_orient, p.body_pose, p.transl) for p in few]
     )
 
 

@@ -5,7 +5,6 @@ it did move, the person moves before it (`given_poses` says why that loses nothi
 """
 
 import logging
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,7 +19,7 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
-from deblur_avatar.config.reading import expand_environment
+from deblur_avatar.config.reading import expand_environment, missing_file
 from deblur_avatar.config.section import (
     Count,
     Params,
@@ -34,6 +33,7 @@ from deblur_avatar.sources.given_masks import read_masks
 from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
 from deblur_avatar.sources.self_calibration import calibrate_focal
+from deblur_avatar.sources.source import Segment
 
 
 class MonocularParams(Params):
@@ -59,11 +59,29 @@ class MonocularParams(Params):
     masks: str | None  # folder of pictures; not black is person
     poses: str | None  # .npz
 
+    def load(
+        self, body: Body, segment: Segment, generator: torch.Generator
+    ) -> tuple[Clip, Reference]:
+        """Read the video and what came along with it."""
+        return load_monocular(self, body, segment)
+
+    def missing_files(self, where: str) -> tuple[str, ...]:
+        """The video and what came along with it, where they are not here."""
+        named = {
+            "path": (self.path, "video and no folder"),
+            "keypoints": (self.keypoints, "keypoints"),
+            "masks": (self.masks, "folder of masks"),
+            "poses": (self.poses, "file of poses"),
+        }
+        return tuple(
+            reason
+            for key, (text, wanted) in named.items()
+            if text is not None
+            for reason in missing_file(text, f"{where}.{key}", wanted)
+        )
+
 
 logger = logging.getLogger(__name__)
-
-# Soft mattes of one person in consecutive frames of one camera.
-Segment = Callable[[UInt8[Tensor, "F H W 3"]], UInt8[Tensor, "F H W"]]
 
 
 def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tuple[Clip, Reference]:

@@ -6,7 +6,6 @@ size, which leaves intrinsics right.
 """
 
 import logging
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,9 +14,11 @@ from jaxtyping import UInt8
 from pydantic import Field
 from torch import Tensor
 
+from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.reading import missing_file
 from deblur_avatar.config.section import (
     Count,
     Fraction,
@@ -32,6 +33,7 @@ from deblur_avatar.imaging.matting import (
 from deblur_avatar.imaging.resampling import undistort
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.folders import footage_folder
+from deblur_avatar.sources.source import Segment
 from deblur_avatar.sources.video_files import Video, read_video
 
 
@@ -54,6 +56,16 @@ class MultiviewParams(Params):
     test_stride: Count
     held_out: Fraction
 
+    def load(
+        self, body: Body, segment: Segment, generator: torch.Generator
+    ) -> tuple[Clip, Reference]:
+        """Read all cameras' videos; the poses of a body are not among them."""
+        return load_multiview(self, segment)
+
+    def missing_files(self, where: str) -> tuple[str, ...]:
+        """The videos' folder, where it is not here."""
+        return missing_file(self.root, f"{where}.root", "folder", folder=True)
+
 
 logger = logging.getLogger(__name__)
 
@@ -63,9 +75,6 @@ REMEDY = (
     "the videos are (for the default: Demo_SinglePerson of github.com/perfanalytics/pose2sim). The "
     "studio scene needs none"
 )
-
-# Soft mattes of one person in consecutive frames of one still camera.
-Segment = Callable[[UInt8[Tensor, "F H W 3"]], UInt8[Tensor, "F H W"]]
 
 
 def load_multiview(params: MultiviewParams, segment: Segment) -> tuple[Clip, Reference]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from deblur_avatar.cli import video as own_video
+from deblur_avatar.cli.main import main
 from deblur_avatar.cli.video import name_of, prepare
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
@@ -40,14 +40,11 @@ def test_a_video_gets_a_folder_that_can_be_run(root: Path, video: Path):
     clip = load_params(folder / "params.yaml", "scenes.my_clip_2.clip", ClipParams)
     assert isinstance(clip, MonocularParams)
     assert Path(clip.path) == video
-    stages = content(folder / "dvc.yaml")["stages"]
-    assert "body" not in stages  # the root's is used
-    assert "data/body/${item.body}" in stages["clip"]["do"]["deps"]
-    for stage in stages.values():
-        written = [
-            next(iter(o)) if isinstance(o, dict) else o for o in stage.get("do", stage)["outs"]
-        ]
-        assert all(path.startswith("avatars/my_clip_2/") for path in written)
+    assert (folder / "dvc.yaml").read_bytes() == (root / "dvc.yaml").read_bytes()
+    places = content(folder / "params.yaml")["from"]
+    assert (folder / places["root"]).resolve() == root
+    assert (folder / places["bodies"]).resolve() == root / "data/body"  # the root's is used
+    assert (folder / places["footage"]).resolve() == folder / "data"
 
 
 def test_what_the_user_changed_stays(root: Path, video: Path):
@@ -108,7 +105,7 @@ def test_a_repositorys_damaged_parameters_are_named(root, video, section):
     ("changes", "message"),
     [
         ({"method": "magic"}, "no method 'magic', there is"),
-        ({"schedule": "eternal"}, "no schedule 'eternal', there is quick, brief, full"),
+        ({"schedule": "eternal"}, "no schedule 'eternal', there is medium, short, full"),
         ({"name": "../up"}, "a name is small letters"),
         ({"name": "2nd"}, "a name is small letters"),
     ],
@@ -148,12 +145,13 @@ def test_the_check_comes_before_the_training(root, video, monkeypatch):
         return subprocess.CompletedProcess(command, 3 if "evaluate" in command[-1] else 0)
 
     monkeypatch.setattr(subprocess, "run", run)
-    assert own_video.main(["--video", str(video), "--name", "anna"]) == 3
+    (root / "stages").mkdir()
+    assert main(["video", str(video), "--name", "anna"]) == 3
     assert asked == ["check@anna", "animate@anna-lean", "evaluate@anna-lean"]
 
 
 def test_a_missing_video_is_one_clear_line(tmp_path: Path):
-    command = [sys.executable, "-m", "deblur_avatar.cli.video", "--video", "no.mp4"]
+    command = [sys.executable, "-m", "deblur_avatar.cli.main", "video", "no.mp4"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("ConfigError: clip.path: no video")

@@ -63,8 +63,16 @@ def test_numbers_are_read_as_dvc_reads_them(tmp_path):
 
 
 def test_a_source_decides_which_keys_a_clip_has(tmp_path):
-    with pytest.raises(ConfigError, match="input tag 'film' found using 'source'"):
-        load_params(written(tmp_path, "clip: {source: film}"), "clip", ClipParams)
+    for clip, message in {
+        "{source: film}": "clip: value: no source of this name, there is studio, .*, got .*'film'",
+        "{fps: 3}": "wanted a section with the key source .studio, multiview, ",
+        "[studio]": "wanted a section with the key source",
+        "{source: {a: 1}}": "no source of this name",
+        "{source: studio, fps: fast}": "missing key 'motion'.*fps: input should be a valid number",
+        "{source: studio, root: x}": "unknown key 'root'",
+    }.items():
+        with pytest.raises(ConfigError, match=message):
+            load_params(written(tmp_path, f"clip: {clip}"), "clip", ClipParams)
 
 
 def test_the_committed_parameters_are_valid_in_every_section():

@@ -8,10 +8,12 @@ background is black. Everything drawn is an instant: blur is the mean of instant
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from pydantic import Field
 from torch import Tensor
 
 from deblur_avatar import run
@@ -20,6 +22,7 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.section import Count, Fraction, NonNegative, Params, Positive
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.imaging.exposure import (
@@ -35,10 +38,10 @@ from deblur_avatar.rendering.mesh_rendering import (
     render,
 )
 from deblur_avatar.rendering.visibility import seen_cells, seen_pixels
+from deblur_avatar.sources.source import Segment
 from deblur_avatar.sources.studio.cameras import place_cameras
 from deblur_avatar.sources.studio.motion import Moves, move
 from deblur_avatar.sources.studio.noise import disturb
-from deblur_avatar.sources.studio.params import StudioParams
 from deblur_avatar.sources.studio.person import Person, create_person
 
 SUBFRAMES = 8
@@ -47,6 +50,38 @@ LIGHTING = Lighting(
     ambient=0.55, sky=0.25, lamps=(((0.5, 0.6, 1.0), 0.18), ((-0.6, 0.5, -0.8), 0.12))
 )
 BETAS = (-0.3, 0.6, -0.4, 0.5, 0.3)  # a lean person; further shape numbers are 0
+
+
+class StudioParams(Params):
+    """A synthetic person with exact truth.
+
+    `motion` names a motion of `sources/studio`; `window` sub-frames (480 a second) are averaged
+    into the true blur. Pose noise is correlated over `noise_correlation_s`.
+    """
+
+    source: Literal["studio"]
+    motion: str
+    frames: Annotated[int, Field(ge=2)]
+    fps: Positive
+    image_size: Annotated[int, Field(ge=8)]  # square, pixels
+    test_cameras: Count
+    test_stride: Count
+    window: Count
+    samples_per_axis: Count  # rays a pixel is (samples_per_axis)^2
+    noise_degrees: NonNegative  # root mean square of each joint's angle of error
+    noise_mm: NonNegative  # root mean square of the root's distance from its place
+    noise_correlation_s: NonNegative
+    held_out: Fraction  # last part of the clip, kept from training
+
+    def load(
+        self, body: Body, segment: Segment, generator: torch.Generator
+    ) -> tuple[Clip, Reference]:
+        """Film the scene; its mattes are known."""
+        return load_studio(self, body, generator)
+
+    def missing_files(self, where: str) -> tuple[str, ...]:
+        """None: everything is made here."""
+        return ()
 
 
 @dataclass(frozen=True)

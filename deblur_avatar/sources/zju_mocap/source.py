@@ -7,9 +7,11 @@ the person on black. Pictures are scaled down to `image_height` after masking.
 
 import logging
 from pathlib import Path
+from typing import Annotated, Literal
 
 import torch
 from jaxtyping import UInt8
+from pydantic import Field
 from torch import Tensor
 
 from deblur_avatar import run
@@ -17,17 +19,54 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.config.reading import missing_file
+from deblur_avatar.config.section import Count, Fraction, Params, Positive
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.resampling import crop_and_scale, undistort
 from deblur_avatar.sources.folders import footage_folder
+from deblur_avatar.sources.source import Segment
 from deblur_avatar.sources.zju_mocap.annotations import Annotations, read_annotations
-from deblur_avatar.sources.zju_mocap.params import ZjuMocapParams
 from deblur_avatar.sources.zju_mocap.pictures import (
     mask_folders_here,
     picture_size,
     read_person,
 )
 from deblur_avatar.sources.zju_mocap.poses import read_poses
+
+
+class ZjuMocapParams(Params):
+    """A sequence in ZJU-MoCap's raw layout (docs/zju-mocap.md).
+
+    `root` may hold `$(VARIABLE:-default)`. Cameras are counted from 0 in the order of `annots.npy`,
+    frames as it lists them.
+    """
+
+    source: Literal["zju_mocap"]
+    root: str
+    frames: tuple[Annotated[int, Field(ge=0)], int | None]  # first, one past last (null: all)
+    stride: Count  # every n-th of them is a frame of the clip
+    fps: Positive  # of the recording
+    image_height: Count  # pictures that are taller are scaled down to this
+    train_camera: Annotated[int, Field(ge=0)]
+    test_cameras: tuple[Annotated[int, Field(ge=0)], ...] | Literal["all"]  # all others
+    test_stride: Count  # frames of the clip between two test views
+    pose_cameras: tuple[Annotated[int, Field(ge=0)], ...]  # recorded too, for estimated poses
+    mask_folders: Annotated[tuple[Literal["mask", "mask_cihp"], ...], Field(min_length=1)]
+    mask_dilation: Annotated[int, Field(ge=0)]  # pixels of the pictures as filmed
+    background: Literal["black", "filmed"]  # of the clip; black is what masks leave out
+    poses: Literal["new_params", "none"]
+    held_out: Fraction  # last part of the clip, kept from training
+
+    def load(
+        self, body: Body, segment: Segment, generator: torch.Generator
+    ) -> tuple[Clip, Reference]:
+        """Read the sequence, whose mattes come with it."""
+        return load_zju_mocap(self, body)
+
+    def missing_files(self, where: str) -> tuple[str, ...]:
+        """The sequence's folder, where it is not here."""
+        return missing_file(self.root, f"{where}.root", "folder", folder=True)
+
 
 logger = logging.getLogger(__name__)
 

@@ -15,11 +15,11 @@ from deblur_avatar.rendering.mesh_rendering import (
     render,
 )
 from deblur_avatar.sources.studio.motion import move
-from deblur_avatar.sources.studio.params import StudioParams
 from deblur_avatar.sources.studio.person import create_person
 from deblur_avatar.sources.studio.source import (
     LIGHTING,
     SUBFRAMES,
+    StudioParams,
     encode,
     load_studio,
 )

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from deblur_avatar.cli import reproduce
+from deblur_avatar.cli import repro, running_dvc
+from deblur_avatar.cli.main import main
 from deblur_avatar.errors import ConfigError
 
 
@@ -15,6 +16,9 @@ def folder(tiny_content, tmp_path, monkeypatch):
     """A folder with parameters for the studio and for footage that may or may not be there."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("POSE2SIM_ROOT", raising=False)
+    monkeypatch.setattr(running_dvc, "refresh", lambda root: [])
+    (tmp_path / "dvc.yaml").touch()
+    (tmp_path / "stages").mkdir()
     tiny_content["scenes"]["courtyard"]["clip"]["root"] = "${POSE2SIM_ROOT:-footage}"
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
@@ -22,14 +26,12 @@ def folder(tiny_content, tmp_path, monkeypatch):
 
 
 def test_footage_is_missing_where_its_folder_is(folder, monkeypatch):
-    missing = reproduce.missing_footage(folder / "params.yaml")
+    missing = repro.missing_footage(folder / "params.yaml")
     assert missing == {"courtyard": "no folder footage (scenes.courtyard.clip.root)"}
     (folder / "footage").mkdir()
-    assert reproduce.missing_footage(folder / "params.yaml") == {}
+    assert repro.missing_footage(folder / "params.yaml") == {}
     monkeypatch.setenv("POSE2SIM_ROOT", str(folder / "elsewhere"))
-    assert (
-        str(folder / "elsewhere") in reproduce.missing_footage(folder / "params.yaml")["courtyard"]
-    )
+    assert str(folder / "elsewhere") in repro.missing_footage(folder / "params.yaml")["courtyard"]
 
 
 def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
@@ -43,9 +45,9 @@ def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
     with (folder / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
     reason = "no video and no folder mine.mp4 (scenes.courtyard.clip.path)"
-    assert reproduce.missing_footage(folder / "params.yaml") == {"courtyard": reason}
+    assert repro.missing_footage(folder / "params.yaml") == {"courtyard": reason}
     (folder / "mine.mp4").touch()
-    assert reproduce.missing_footage(folder / "params.yaml") == {}
+    assert repro.missing_footage(folder / "params.yaml") == {}
 
 
 def test_a_scene_of_a_data_set_lacks_its_folder_its_body_or_both(folder, tiny_content, monkeypatch):
@@ -63,33 +65,33 @@ def test_a_scene_of_a_data_set_lacks_its_folder_its_body_or_both(folder, tiny_co
         YAML().dump(tiny_content, file)
     for name in ("ZJU_MOCAP_ROOT", "SMPL_MODEL"):
         monkeypatch.delenv(name, raising=False)
-    reason = reproduce.missing_footage(folder / "params.yaml")["courtyard"]
+    reason = repro.missing_footage(folder / "params.yaml")["courtyard"]
     assert "scenes.courtyard.clip.root: set the environment variable ZJU_MOCAP_ROOT" in reason
     assert "bodies.smpl.file: set the environment variable SMPL_MODEL" in reason
     monkeypatch.setenv("ZJU_MOCAP_ROOT", str(folder))
     monkeypatch.setenv("SMPL_MODEL", str(folder / "smpl.pkl"))
     (folder / "seq").mkdir()
     reason = f"no SMPL file {folder / 'smpl.pkl'} (bodies.smpl.file)"
-    assert reproduce.missing_footage(folder / "params.yaml") == {"courtyard": reason}
+    assert repro.missing_footage(folder / "params.yaml") == {"courtyard": reason}
     (folder / "smpl.pkl").touch()
-    assert reproduce.missing_footage(folder / "params.yaml") == {}
+    assert repro.missing_footage(folder / "params.yaml") == {}
 
 
 def test_parameters_that_cannot_be_run_stop_everything_at_once(folder):
     text = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(text.replace("virtual_poses:", "virtual_pose:"))
     with pytest.raises(ConfigError, match=r"unknown key 'trajectory.virtual_pose'"):
-        reproduce.missing_footage(folder / "params.yaml")
+        repro.missing_footage(folder / "params.yaml")
 
 
 def test_what_can_be_made_is_every_run_of_the_other_scenes(folder, tiny_content):
-    wanted = reproduce.targets(folder / "params.yaml", {"courtyard": "gone"})
+    wanted = repro.targets(folder / "params.yaml", {"courtyard": "gone"})
     runs = [name for name, run in tiny_content["runs"].items() if run["scene"] == "studio"]
     assert {f"evaluate@{name}" for name in runs} <= set(wanted)
     assert not any("courtyard" in name for name in wanted)
     animated = [name for name in tiny_content["animations"] if name in runs]
     assert {f"animate@{name}" for name in animated} <= set(wanted)
-    assert reproduce.targets(folder / "params.yaml", {}) == []
+    assert repro.targets(folder / "params.yaml", {}) == []
 
 
 class Commands:
@@ -112,7 +114,7 @@ def test_with_all_footage_everything_is_reproduced_and_the_table_shown(folder, m
     (folder / "reports" / "table.md").write_text("| method | PSNR |")
     commands = Commands(monkeypatch, [0])
     with caplog.at_level(logging.INFO):
-        assert reproduce.main() == 0
+        assert main(["repro"]) == 0
     assert commands.calls == [["-m", "dvc", "repro"]]
     assert "| method | PSNR |" in caplog.text
     assert "reports/index.html" in caplog.text
@@ -126,7 +128,7 @@ def test_without_some_footage_its_scene_is_named_and_the_report_made_all_the_sam
     (folder / "reports" / "table.md").write_text("| table |")
     commands = Commands(monkeypatch, [0, 0])
     with caplog.at_level(logging.INFO):
-        assert reproduce.main() == 0
+        assert main(["repro"]) == 0
     assert "scene courtyard is left out: no folder footage" in caplog.text
     assert "evaluate@studio-paper" in commands.calls[0]
     assert commands.calls[1] == ["-m", "dvc", "repro", "--single-item", "report"]
@@ -134,5 +136,33 @@ def test_without_some_footage_its_scene_is_named_and_the_report_made_all_the_sam
 
 def test_a_failing_step_ends_it_with_its_exit_code(folder, monkeypatch):
     commands = Commands(monkeypatch, [3])
-    assert reproduce.main() == 3
+    assert main(["repro"]) == 3
     assert len(commands.calls) == 1
+
+
+@pytest.mark.parametrize("command", [["repro"], ["report"], ["check"], ["video", "clip.mp4"]])
+def test_elsewhere_the_command_says_what_it_needs(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert line.startswith("ConfigError: no dvc.yaml, params.yaml, stages in ")
+    assert line.endswith("start it in a checkout of deblur-avatar")
+
+
+def test_scenes_are_checked_by_name(folder, monkeypatch, capsys):
+    commands = Commands(monkeypatch, [0, 3])
+    assert main(["check", "studio"]) == 0
+    assert main(["check"]) == 3
+    assert [call[-1] for call in commands.calls] == ["check@studio", "check"]
+    assert main(["check", "studoi"]) == 1
+    assert "no scene 'studoi' in params.yaml, there is studio" in capsys.readouterr().err
+
+
+def test_the_report_alone_is_written_and_shown(folder, monkeypatch, caplog):
+    (folder / "reports").mkdir()
+    (folder / "reports" / "table.md").write_text("| table |")
+    commands = Commands(monkeypatch, [0])
+    with caplog.at_level(logging.INFO):
+        assert main(["report"]) == 0
+    assert commands.calls == [["-m", "dvc", "repro", "--single-item", "report"]]
+    assert "| table |" in caplog.text

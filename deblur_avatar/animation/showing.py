@@ -1,0 +1,86 @@
+"""An avatar in a motion, seen by one camera: where the person goes, and the frames.
+
+Conventions. Pictures are square, `size` pixels; the camera stays where it is, looks at the person
+upright, and is cropped so that the whole motion fits.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from deblur_avatar.animation.driving_motion import BodyMotion
+from deblur_avatar.animation.placement import framed_intrinsics, level_view, place
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.bodies.posed_body import posed_vertices
+
+FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
+
+Progress = Callable[[Iterable[int], str], Iterable[int]]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Poses in the world, and the camera that holds all of them."""
+
+    poses: Poses
+    K: Float[Tensor, "3 3"]
+    viewmat: Float[Tensor, "4 4"]
+    size: int
+
+
+def plan_shot(
+    motion: BodyMotion,
+    body: Body,
+    filmed: Poses,
+    K: Float[Tensor, "3 3"],
+    viewmat: Float[Tensor, "4 4"],
+    *,
+    size: int,
+    margin: float,
+    turns: float,
+    travel: float,
+) -> Shot:
+    """Let the filmed person do a motion where it was filmed, and point the camera.
+
+    Args:
+        motion: what to do.
+        body: the filmed person's.
+        filmed: poses of the person while it was filmed; its shape is kept.
+        K: of the camera that filmed it; only its crop and scale change.
+        viewmat: of that camera; only the place counts, real ones often hang askew.
+        size: of the pictures, pixels.
+        margin: around the person, as a share of the picture.
+        turns: how often the stage turns, so that every side is seen.
+        travel: share of the motion's horizontal path that is kept.
+
+    Raises:
+        ValueError: if the motion cannot be shown from this camera.
+    """
+    viewmat = level_view(body, filmed, viewmat)
+    poses = place(motion, body, filmed, viewmat, turns=turns, travel=travel)
+    points = _surfaces(body, poses)
+    return Shot(poses, framed_intrinsics(points, K, viewmat, size, margin), viewmat, size)
+
+
+def render_shot(model: AvatarModel, shot: Shot, progress: Progress) -> UInt8[Tensor, "F H W 3"]:
+    """Render every pose of a shot, one after the other; `progress` wraps the loop over frames."""
+    K, viewmat = shot.K.to(model.betas.device), shot.viewmat.to(model.betas.device)
+    frames = []
+    for index in progress(range(len(shot.poses.transl)), "animate"):
+        image, _ = render_avatar(model, shot.poses.at([index]), K, viewmat, shot.size, shot.size)
+        frames.append((image[0].cpu() * 255).round().to(torch.uint8))
+    return torch.stack(frames)
+
+
+def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
+    """Vertices in a few of the poses; one by one, to bound the memory that blend weights take."""
+    step = -(-len(poses.transl) // FRAMING_POSES)
+    few = [poses.at([index]) for index in range(0, len(poses.transl), step)]
+    return torch.cat(
+        [posed_vertices(body, p.betas, p.global_orient, p.body_pose, p.transl) for p in few]
+    )

@@ -1,0 +1,96 @@
+"""Write a fitted run as a file that other programs open.
+
+ply: the avatar in the pose of one frame, for viewers of 3D Gaussian splats.
+npz: the fitted motion, with the keys of AMASS.
+"""
+
+import argparse
+import logging
+from pathlib import Path
+from typing import Any
+
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params, parse, read_params
+from deblur_avatar.config.runs import RunParams
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.exports.registry import EXPORTERS, ExportParams
+
+logger = logging.getLogger(__name__)
+
+PARAMS = "params.yaml"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of the subcommand."""
+    parser.add_argument(
+        "run", help="a run of ./params.yaml (studio-lean), or the folder of an avatar "
+        "(avatars/clip), or a run of it (avatars/clip/clip-lean)",
+    )  # fmt: skip
+    parser.add_argument("--format", choices=sorted(EXPORTERS), required=True)
+    parser.add_argument("--out", type=Path, required=True, help="the file to write")
+    parser.add_argument("--frame", type=int, help="whose pose, counted from 0 (ply; default 0)")
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Export; returns 0.
+
+    Raises:
+        ConfigError: if there is no such run, or the options do not fit the format or the run.
+        ArtifactError: if the run was not made yet, or the file cannot be written.
+    """
+    options: dict[str, Any] = {"format": asked.format}
+    if asked.frame is not None or "frame" in EXPORTERS[asked.format].__annotations__:
+        options["frame"] = asked.frame or 0
+    exporter = parse(ExportParams, options, "export")
+    if asked.out.suffix != exporter.suffix:
+        raise ConfigError(f"--out {asked.out}: a file of this format ends in {exporter.suffix}")
+    exporter.export(load_run(*find_run(asked.run)), asked.out)
+    logger.info("%s: %.1f MB", asked.out, asked.out.stat().st_size / 1e6)
+    return 0
+
+
+def find_run(text: str) -> tuple[Path, str]:
+    """The folder whose parameters name a run, and the run's name.
+
+    Raises:
+        ConfigError: if there is none, or several to choose from.
+    """
+    path = Path(text)
+    if (path / PARAMS).is_file():
+        names = list(_runs(path))
+        if len(names) != 1:
+            raise ConfigError(
+                f"{path} has the runs {', '.join(names) or '(none)'}; name one: {path}/<run>"
+            )
+        return path, names[0]
+    folder = path.parent
+    if not (folder / PARAMS).is_file():
+        raise ConfigError(f"no {PARAMS} in {folder.resolve()}, which should name the run {text!r}")
+    if path.name not in _runs(folder):
+        known = ", ".join(_runs(folder))
+        raise ConfigError(f"no run {path.name!r} in {folder / PARAMS}, there is {known}")
+    return folder, path.name
+
+
+def load_run(folder: Path, name: str) -> FittedRun:
+    """What the stages left of a run.
+
+    Raises:
+        ArtifactError: if it was not made yet, or is damaged.
+    """
+    run: RunParams = load_params(folder / PARAMS, f"runs.{name}", RunParams)
+    footage = folder / load_params(folder / PARAMS, "from.footage", str)
+    fitted = folder / "data/fusion" / name
+    return FittedRun(
+        avatar=Avatar.load(fitted / "avatar"),
+        motion=Motion.load(fitted / "motion"),
+        observations=Observations.load(footage / "preprocess" / run.scene / run.observations),
+    )
+
+
+def _runs(folder: Path) -> dict[str, Any]:
+    content = read_params(folder / PARAMS)
+    return dict(content.get("runs") or {}) if isinstance(content, dict) else {}

@@ -1,0 +1,67 @@
+"""Run the whole pipeline as far as this machine has the footage.
+
+Scenes whose files are missing are named and left out; everything else is reproduced, and the report
+is written over all results there are.
+"""
+
+import argparse
+import logging
+from pathlib import Path
+
+from deblur_avatar.cli.report import show_report
+from deblur_avatar.cli.running_dvc import check_checkout, reproduce
+from deblur_avatar.config.reading import load_params, read_yaml
+from deblur_avatar.pipeline.body import BodyParams
+from deblur_avatar.pipeline.parameters import SceneParams, check_parameters
+
+logger = logging.getLogger(__name__)
+
+PARAMS = Path("params.yaml")
+
+
+def missing_footage(params_file: Path) -> dict[str, str]:
+    """Scenes that cannot be made here, each with the reason.
+
+    Raises:
+        ConfigError: if the parameter file cannot be run at all.
+    """
+    check_parameters(params_file)
+    missing = {}
+    for scene in load_params(params_file, "scenes", dict):
+        params = load_params(params_file, f"scenes.{scene}", SceneParams)
+        body = load_params(params_file, f"bodies.{params.body}", BodyParams)
+        reasons = params.clip.missing_files(f"scenes.{scene}.clip")
+        reasons += body.missing_files(f"bodies.{params.body}")
+        if reasons:
+            missing[scene] = "; ".join(reasons)
+    return missing
+
+
+def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
+    """What to ask DVC for: nothing (all of it), or the last stages of scenes that can be made."""
+    if not missing:
+        return []
+    runs = read_yaml(params_file)["runs"]
+    kept = [name for name, run in runs.items() if run["scene"] not in missing]
+    animated = read_yaml(params_file)["animations"]
+    scenes = dict.fromkeys(runs[name]["scene"] for name in kept)
+    return [
+        *(f"check@{scene}" for scene in scenes),
+        *(f"{stage}@{name}" for name in kept for stage in ("evaluate", "timeline")),
+        *(f"animate@{name}" for name in animated if name in kept),
+    ]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """None."""
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Reproduce, then write and print the report's table; returns DVC's exit code."""
+    check_checkout(Path())
+    missing = missing_footage(PARAMS)
+    for scene, reason in missing.items():
+        logger.warning("scene %s is left out: %s", scene, reason)
+    wanted = targets(PARAMS, missing)
+    code = reproduce(wanted, *([["--single-item", "report"]] if wanted else []))
+    return code or show_report()

@@ -1,0 +1,38 @@
+"""The seam between a fitted run and other programs' files: what every exporter does.
+
+An exporter is its options with one method. A new one is a module with such a class and a line in
+`exports/registry.py` (docs/extending.md).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Protocol, runtime_checkable
+
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+
+
+@dataclass(frozen=True)
+class FittedRun:
+    """What a run leaves behind: who was fitted, how it moved, how it was filmed."""
+
+    avatar: Avatar
+    motion: Motion
+    observations: Observations
+
+
+@runtime_checkable
+class Exporter(Protocol):
+    """One format, with its options."""
+
+    suffix: ClassVar[str]  # of the file's name, with the dot
+
+    def export(self, run: FittedRun, path: Path) -> None:
+        """Write the file in one move: whole or not at all.
+
+        Raises:
+            ConfigError: if the options do not fit the run.
+            ArtifactError: if the disk refuses.
+        """
+        ...

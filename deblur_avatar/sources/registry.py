@@ -1,0 +1,19 @@
+"""The kinds of sources by the name that a scene's `clip.source` gives them."""
+
+from typing import Annotated
+
+from deblur_avatar.config.kinds import KindOf
+from deblur_avatar.sources.monocular import MonocularParams
+from deblur_avatar.sources.multiview import MultiviewParams
+from deblur_avatar.sources.source import Source
+from deblur_avatar.sources.studio.source import StudioParams
+from deblur_avatar.sources.zju_mocap.source import ZjuMocapParams
+
+SOURCES: dict[str, type[Source]] = {
+    "studio": StudioParams,
+    "multiview": MultiviewParams,
+    "monocular": MonocularParams,
+    "zju_mocap": ZjuMocapParams,
+}
+
+ClipParams = Annotated[Source, KindOf("source", SOURCES)]

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from deblur_avatar.animation.amass import read_amass
+from deblur_avatar.cli.main import main
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch, scene):
+    """A checkout with one fitted run, and an avatar of a video's with two."""
+    run = {"scene": "capsules", "observations": "blurred", "start": "lean", "method": "lean"}
+    for folder, runs in (("", ["capsules-lean"]), ("avatars/anna", ["anna-lean", "anna-paper"])):
+        place = tmp_path / folder
+        for name in runs:
+            scene.avatar.save(place / "data/fusion" / name / "avatar")
+            scene.motion.save(place / "data/fusion" / name / "motion")
+        scene.observations.save(place / "data/preprocess/capsules/blurred")
+        content = {"from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run)}
+        with (place / "params.yaml").open("w") as file:
+            YAML().dump(content, file)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_run_is_written_as_splats_and_as_motion(project, scene):
+    assert main(["export", "capsules-lean", "--format", "ply", "--out", "a.ply"]) == 0
+    assert (
+        main(["export", "capsules-lean", "--format", "ply", "--frame", "7", "--out", "b.ply"]) == 0
+    )
+    header = (project / "a.ply").read_bytes().partition(b"end_header")[0].decode()
+    assert f"element vertex {len(scene.avatar.means)}\n" in header
+    assert (project / "a.ply").read_bytes() != (project / "b.ply").read_bytes()
+    out = "exports/motion.npz"
+    assert main(["export", "avatars/anna/anna-paper", "--format", "npz", "--out", out]) == 0
+    assert len(read_amass(project / out).transl) == len(scene.motion.timestamps)
+
+
+def test_a_folder_with_one_run_needs_no_name(project):
+    text = (project / "params.yaml").read_text()
+    (project / "params.yaml").write_text(text[: text.index("  unmade")])
+    assert main(["export", ".", "--format", "npz", "--out", "a.npz"]) == 0
+    with np.load("a.npz") as content:
+        assert "mocap_framerate" in content
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("capsules-len --format ply --out a.ply", "no run 'capsules-len' in params.yaml"),
+        (
+            "avatars/anna --format ply --out a.ply",
+            "the runs anna-lean, anna-paper, unmade; name",
+        ),
+        ("avatars/bob --format ply --out a.ply", "no params.yaml in .*avatars, which should name"),
+        (
+            "unmade --format ply --out a.ply",
+            "ArtifactError: no avatar/1 in data/fusion/unmade",
+        ),
+        ("capsules-lean --format ply --out a.obj", "a file of this format ends in .ply"),
+        ("capsules-lean --format ply --frame 8 --out a.ply", "frame 8 of 8; frames are counted"),
+        (
+            "capsules-lean --format ply --frame -1 --out a.ply",
+            "frame: .*greater than or equal",
+        ),
+        ("capsules-lean --format npz --frame 1 --out a.npz", "export: unknown key 'frame'"),
+    ],
+)
+def test_what_cannot_be_exported_is_one_clear_line(project, capsys, words, message):
+    assert main(["export", *words.split()]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    with pytest.raises(AssertionError, match=message):
+        raise AssertionError(line)
+    assert not list(project.glob("a.*"))

@@ -1,0 +1,55 @@
+import importlib
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.cli import main as command
+from deblur_avatar.cli.main import COMMANDS, main
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_command_is_installed_with_the_package():
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    assert scripts == {"deblur-avatar": f"{command.__name__}:main"}
+
+
+def test_every_subcommand_is_a_module_and_every_module_one():
+    others = {"__init__", "main", "running_dvc"}
+    assert {p.stem for p in (ROOT / "deblur_avatar/cli").glob("*.py")} - others == set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_says_what_a_subcommand_does(name, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([name, "--help"])
+    assert end.value.code == 0
+    module = importlib.import_module(f"deblur_avatar.cli.{name}")
+    assert module.__doc__.splitlines()[0] in capsys.readouterr().out
+
+
+def test_help_lists_all_subcommands_without_loading_torch():
+    program = (
+        "import sys; from deblur_avatar.cli.main import main\n"
+        "try: main(['--help'])\n"
+        "finally: print('torch' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+        env={"PYTHONPATH": str(ROOT), "COLUMNS": "100"},
+    )  # fmt: skip
+    assert all(f"    {name}" in done.stdout for name in COMMANDS)
+    assert done.stdout.splitlines()[-1] == "False"
+
+
+@pytest.mark.parametrize(
+    "words", ["", "magic", "export", "export x --format obj --out x", "video", "repro now"]
+)
+def test_bad_usage_ends_with_2(words, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(words.split())
+    assert end.value.code == 2
+    assert "usage: deblur-avatar" in capsys.readouterr().err
