@@ -23,9 +23,7 @@ from deblur_avatar.geometry.rotations import (
     slerp,
 )
 from deblur_avatar.imaging.metrics import psnr
-
-# Kinds of motion whose rows know nothing of frames they were not fitted to.
-FRAME_BY_FRAME = ("frame", "pair")
+from deblur_avatar.motion.kinds import kind_of
 
 
 def reblur(
@@ -76,7 +74,7 @@ def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence
     are arbitrary where each frame was fitted for itself: the second frame's is reversed if that
     brings its joints nearer to the first's.
     """
-    if motion.kind not in FRAME_BY_FRAME or position in train:
+    if kind_of(motion).knows_unfitted or position in train:
         return _row(motion, position)
     before = [index for index in train if index < position]
     after = [index for index in train if index > position]
@@ -93,10 +91,7 @@ def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence
 
 
 def _between(start: Poses, end: Poses, share: float) -> Poses:
-    first, second = (
-        axis_angle_to_quat(torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1))
-        for poses in (start, end)
-    )
+    first, second = (axis_angle_to_quat(poses.axis_angle) for poses in (start, end))
     mixed = quat_to_axis_angle(slerp(first, second, torch.tensor([share]))[0])
     transl = start.transl + share * (end.transl - start.transl)
     return replace(start, global_orient=mixed[:, 0], body_pose=mixed[:, 1:], transl=transl)

@@ -15,14 +15,9 @@ from deblur_avatar.imaging.lpips import (
     WEIGHTS_VARIABLE,
     Lpips,
 )
-from deblur_avatar.motion.clip import ClipMotion
-from deblur_avatar.motion.exposure_motions import EXPOSURE_MOTIONS
-from deblur_avatar.motion.saved_motion import trajectory_from_artifact
-from deblur_avatar.motion.trajectory import (
-    FrameMotion,
-    PairMotion,
-    instants,
-)
+from deblur_avatar.motion.kinds import KINDS, trajectory_from_artifact
+from deblur_avatar.motion.pair import PairMotion
+from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.training import objective
 from deblur_avatar.training import trainer as avatar_fit
 from deblur_avatar.training.fusion_network import FusionNetwork
@@ -50,6 +45,17 @@ def paced(schedule, last):
     return schedule.model_copy(update={"warmup": 1, "trajectory": 2, "fusion": last})
 
 
+def start_of(kind, noise):
+    """Parameters of any kind of trajectory, with five instants where it has several."""
+    values = {
+        "virtual_poses": 5, "quadrature": "endpoints", "start_noise": noise,
+        "pixels_per_pose": 0.0, "shutter": "given", "knot_frames": 1.0, "finest_knot_frames": 1.0,
+        "finer_knots_gain": 0.0, "smoothness": 0.0,
+    }  # fmt: skip
+    fields = KINDS[kind].Params.model_fields.keys() & values.keys()
+    return KINDS[kind].Params(kind=kind, **{name: values[name] for name in fields})
+
+
 @pytest.fixture
 def begin(observations, start, schedule):
     """Build a fit from scratch, the same one for the same arguments."""
@@ -63,15 +69,9 @@ def begin(observations, start, schedule):
             params.model, seen.body, seen.poses.betas, len(seen.frames), count, seen.light,
             generator,
         )  # fmt: skip
-        if motion in EXPOSURE_MOTIONS:
-            apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
-            kind = EXPOSURE_MOTIONS[motion]
-            trajectory = kind(seen.poses, instants(5, "endpoints"), noise, apart)
-        elif motion == "clip":
-            u = instants(5, "midpoints")
-            trajectory = ClipMotion.near(seen.poses, u, seen.timestamps, 1 / 60, 1 / 60, 0.0)
-        else:
-            trajectory = FrameMotion(seen.poses, refined=motion == "frame")
+        section = start_of(motion, noise)
+        apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
+        trajectory = KINDS[motion].create(seen, section, apart)
         network = None
         if fused:
             network = FusionNetwork(model.pose_encoder.size, len(seen.frames), 4, 4, [8])
