@@ -36,6 +36,7 @@ from deblur_avatar.motion.trajectory import (
     LEVER,
     Instants,
     MotionParams,
+    Quadrature,
     Render,
     Trajectory,
     instants,
@@ -46,12 +47,13 @@ logger = logging.getLogger(__name__)
 
 
 class ClipParams(MotionParams):
-    """One trajectory for the whole clip; its virtual poses stand at midpoints."""
+    """One trajectory for the whole clip."""
 
     kind: Literal["clip"]
     virtual_poses: Count  # at most, where `pixels_per_pose` says how many
     pixels_per_pose: NonNegative  # farthest travel in the picture per virtual pose; 0: always all
     shutter: Literal["given", "estimated"]  # how long it was open
+    quadrature: Quadrature  # of the instants that are saved; fitting takes midpoints
     knot_frames: Positive  # frames between two knots of the trajectory, at most
     finest_knot_frames: Positive  # and at least, where given poses ask for finer knots
     finer_knots_gain: NonNegative  # radians by which these must predict held-back poses better
@@ -125,7 +127,7 @@ class ClipMotion(Trajectory):
             params.finest_knot_frames * frame, params.smoothness, params.finer_knots_gain,
         )  # fmt: skip
         motion = cls.near(
-            observations.poses, instants(params.virtual_poses, "midpoints"),
+            observations.poses, instants(params.virtual_poses, params.quadrature),
             observations.timestamps, observations.exposure, spacing, params.smoothness,
             estimate_shutter=params.shutter == "estimated",
         )  # fmt: skip
