@@ -224,7 +224,9 @@ def machine(ghz: float) -> dict[str, Any]:
         version = "none"
     return {
         "commit": _git("rev-parse", "HEAD"),
-        "changed_since_commit": bool(_git("status", "--porcelain", "--", "deblur_avatar/rendering")),
+        "changed_since_commit": bool(
+            _git("status", "--porcelain", "--", "deblur_avatar/rendering")
+        ),
         "cpu": names[0] if names else platform.processor(),
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),

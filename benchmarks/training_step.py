@@ -120,7 +120,7 @@ def observations(size: int) -> Observations:
     with torch.no_grad():
         model.gaussians.features.copy_(4 * torch.sin(7 * model.gaussians.means))
         model.gaussians.opacity_logits.fill_(3.0)
-    images, alphas = render_avatar(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+    images, alphas = render_avatar(model, poses, cameras.camera(0))
     return Observations(
         frames=(images * 255).round().to(torch.uint8),
         mattes=(alphas * 255).round().to(torch.uint8),

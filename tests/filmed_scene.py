@@ -73,9 +73,7 @@ def _reference(
     """Every frame from both test cameras; the motion is sampled four times a frame."""
     images, mattes = [], []
     for camera in (1, 2):
-        drawn = render_avatar(
-            model, poses, cameras.Ks[camera], cameras.viewmats[camera], CLIP_SIZE, CLIP_SIZE
-        )
+        drawn = render_avatar(model, poses, cameras.camera(camera))
         images.append(drawn[0])
         mattes.append(drawn[1])
     frames = torch.tensor(observations.frame_indices).repeat(2)

@@ -16,7 +16,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.evaluation.motion_errors import joint_positions
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
     quat_to_axis_angle,
@@ -46,19 +46,13 @@ def mean_reblur_psnr(
     model: AvatarModel, observations: Observations, motion: Motion, positions: Sequence[int]
 ) -> float | None:
     """PSNR of averaged renders against the frames at some positions, dB; None for no position."""
-    camera = observations.train_camera
-    width, height = observations.cameras.sizes[camera].tolist()
-    device = model.betas.device
 
     def score(position: int) -> float:
         nearest = min(observations.train, key=lambda index: abs(index - position))
         image, _ = render_avatar(
             model,
             poses_of_exposure(observations.body, motion, position, observations.train),
-            observations.cameras.Ks[camera].to(device),
-            observations.cameras.viewmats[camera].to(device),
-            width,
-            height,
+            observations.camera,
             frame=nearest,
             average=True,
         )
@@ -82,10 +76,8 @@ def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence
         return _row(motion, before[-1] if before else after[0])
     start, end = _row(motion, before[-1]), _row(motion, after[0])
     backward = end.at(list(reversed(range(len(end.transl)))))
-    here = joint_positions(body, start)
-    if _distance(here, joint_positions(body, backward)) < _distance(
-        here, joint_positions(body, end)
-    ):
+    here = posed(body, start).joints
+    if _distance(here, posed(body, backward).joints) < _distance(here, posed(body, end).joints):
         end = backward
     return _between(start, end, (position - before[-1]) / (after[0] - before[-1]))
 

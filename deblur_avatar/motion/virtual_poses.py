@@ -25,9 +25,8 @@ def farthest_travel(trajectory: Trajectory, observations: Observations) -> Float
 
 
 def _travel(frame: Instants, observations: Observations) -> Float[Tensor, ""]:
-    camera = observations.train_camera
+    camera = observations.camera.to(frame.transl)
     betas = observations.poses.betas.to(frame.transl)
     joints = joints_from_rotations(observations.body, betas, frame.rotations, frame.transl)
-    cameras = observations.cameras
-    pixels, _ = project(joints, cameras.Ks[camera].to(joints), cameras.viewmats[camera].to(joints))
+    pixels, _ = project(joints, camera.K, camera.viewmat)
     return pixels.diff(dim=0).norm(dim=-1).sum(0).amax()

@@ -26,7 +26,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.config.reading import expand_environment
 from deblur_avatar.config.section import (
     Fraction,
@@ -35,6 +35,7 @@ from deblur_avatar.config.section import (
     Positive,
 )
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 
 
@@ -105,11 +106,10 @@ def animate(
         raise ConfigError(f"{where}: {error}") from None
     logger.info("%d frames of %s at %g a second", len(poses.transl), params.motion, params.fps)
     model = AvatarModel.from_artifact(avatar, body, device)
-    size = params.image_size
-    K, viewmat = K.to(device), viewmat.to(device)
+    camera = Camera(K, viewmat, params.image_size, params.image_size)
     frames = []
     for index in progress(range(len(poses.transl)), "animate"):
-        image, _ = render_avatar(model, poses.at([index]), K, viewmat, size, size)
+        image, _ = render_avatar(model, poses.at([index]), camera)
         frames.append((image[0].cpu() * 255).round().to(torch.uint8))
     return torch.stack(frames)
 
@@ -138,9 +138,7 @@ def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
     """Vertices in a few of the poses; one by one, to bound the memory that blend weights take."""
     step = -(-len(poses.transl) // FRAMING_POSES)
     few = [poses.at([index]) for index in range(0, len(poses.transl), step)]
-    return torch.cat(
-        [posed_vertices(body, p.betas, p.global_orient, p.body_pose, p.transl) for p in few]
-    )
+    return torch.cat([posed(body, poses).vertices for poses in few])
 
 
 def sheet_of(frames: UInt8[Tensor, "F H W 3"], fps: float) -> UInt8[np.ndarray, "_ _ 3"]:

@@ -88,17 +88,12 @@ def new_trajectory(
 
 def exposure_renderer(model: AvatarModel, observations: Observations) -> Render:
     """Render an avatar's average over some instants of a frame, as the training camera sees it."""
-    camera = observations.train_camera
-    width, height = observations.cameras.sizes[camera].tolist()
 
     def render(frame: int, instants: Instants) -> Float[Tensor, "H W 3"]:
         image, _ = render_avatar(
             model,
             instants.poses(model.betas.detach()),
-            observations.cameras.Ks[camera].to(instants.transl),
-            observations.cameras.viewmats[camera].to(instants.transl),
-            width,
-            height,
+            observations.camera,
             frame=frame,
             average=True,
         )

@@ -48,8 +48,6 @@ def filmed(painted, make_observations):
             seen = dataclasses.replace(seen, poses=seen.poses.at([0] * FRAMES))
         seen = dataclasses.replace(seen, train=tuple(range(FRAMES)), validation=())
         motion = along(seen, TRUE).to_artifact(model.betas.detach(), seen.timestamps)
-        camera = seen.train_camera
-        width, height = seen.cameras.sizes[camera].tolist()
         frames = []
         for index in range(FRAMES):
             exposure = Poses(
@@ -58,10 +56,7 @@ def filmed(painted, make_observations):
                 body_pose=motion.body_pose[index],
                 transl=motion.transl[index],
             )
-            lens = seen.cameras.Ks[camera], seen.cameras.viewmats[camera]
-            image, _ = render_avatar(
-                model, exposure, *lens, width, height, frame=index, average=True
-            )
+            image, _ = render_avatar(model, exposure, seen.camera, frame=index, average=True)
             frames.append(image[0])
         generator = torch.Generator().manual_seed(0)
         pictures = torch.stack(frames)

@@ -10,6 +10,7 @@ from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.avatars.params import ModelParams
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.lpips import (
     HEADS_VARIABLE,
     WEIGHTS_VARIABLE,
@@ -169,9 +170,7 @@ def test_fitting_makes_pictures_like_the_frames(begin, observations, start):
     first, last = (sum(t["l1"] for t in part) / 4 for part in (losses[:4], losses[-4:]))
     assert last < 0.5 * first
     camera = observations.cameras
-    images, _ = render_avatar(
-        fit.model, observations.poses, camera.Ks[0], camera.viewmats[0], 24, 24
-    )
+    images, _ = render_avatar(fit.model, observations.poses, camera.camera(0))
     error = (images[0] - observations.frames[0] / 255).abs().mean()
     black = (observations.frames[0] / 255).mean()
     assert error < 0.4 * black
@@ -616,7 +615,8 @@ def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without
 
     model, K = painted(2, count=600), front.Ks[0].clone()
     K[:2] *= size / 24
-    image, alpha = render_avatar(model, between(u), K, front.viewmats[0], size, size, average=True)
+    camera = Camera(K, front.viewmats[0], size, size)
+    image, alpha = render_avatar(model, between(u), camera, average=True)
     seen = dataclasses.replace(
         observations,
         frames=(255 * image).round().to(torch.uint8),
