@@ -46,11 +46,11 @@ from deblur_avatar.avatars.params import ModelParams
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.pipeline.fusion import new_network
 from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import new_trajectory
 from deblur_avatar.rendering import rasterize
 from deblur_avatar.run import stage
-from deblur_avatar.training.fusion_network import FusionNetwork
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit
@@ -120,7 +120,7 @@ def observations(size: int) -> Observations:
     with torch.no_grad():
         model.gaussians.features.copy_(4 * torch.sin(7 * model.gaussians.means))
         model.gaussians.opacity_logits.fill_(3.0)
-    images, alphas = render_avatar(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+    images, alphas = render_avatar(model, poses, cameras.camera(0))
     return Observations(
         frames=(images * 255).round().to(torch.uint8),
         mattes=(alphas * 255).round().to(torch.uint8),
@@ -152,15 +152,8 @@ def begin(name: str, seen: Observations, schedule: ScheduleParams) -> tuple[Avat
     )
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(2.0)
-    network = None
-    if method.fusion.network is not None:
-        sizes = method.fusion.network
-        posed = sizes.pose and start.model.nonrigid is not None
-        network = FusionNetwork(
-            model.pose_encoder.size if posed else 0, FRAMES, sizes.frame_codes,
-            sizes.color_features, sizes.hidden,
-        )  # fmt: skip
-    trajectory = new_trajectory(seen, method.trajectory, generator)
+    network = new_network(method.fusion, start, model, FRAMES)
+    trajectory = new_trajectory(seen, method.trajectory.motion, generator)
     device = torch.device("cpu")
     fit = AvatarFit(model, trajectory, seen, start, schedule, device, generator, network)
     last = schedule.fusion  # past the last edit of the Gaussians

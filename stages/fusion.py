@@ -8,9 +8,9 @@ from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.pipeline.fusion import FusionParams, fuse
 from deblur_avatar.training.fitting_stage import fitting_stage
-from deblur_avatar.training.params import FusionParams, StartParams
+from deblur_avatar.training.params import StartParams
 
 
 def main(

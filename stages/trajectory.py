@@ -7,8 +7,7 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.motion.params import TrajectoryParams
-from deblur_avatar.pipeline.trajectory import fit_trajectory
+from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory
 from deblur_avatar.training.fitting_stage import fitting_stage
 from deblur_avatar.training.params import StartParams
 

@@ -78,7 +78,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
     def make(frames: int = 5, degrees: float = 8.0, size: int = SIZE) -> Observations:
         poses, cameras = swinging_poses(body, frames, degrees), camera(size)
         model = colourful(body, frames)
-        images, alphas = render_avatar(model, poses, cameras.Ks[0], cameras.viewmats[0], size, size)
+        images, alphas = render_avatar(model, poses, cameras.camera(0))
         return Observations(
             frames=(images * 255).round().to(torch.uint8),
             mattes=(alphas * 255).round().to(torch.uint8),

@@ -13,7 +13,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.geometry.cameras import look_at
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FrameMotion
 
 EYES = ((0.0, 0.0, 4.0), (2.8, 0.0, 2.8), (-2.8, 0.5, 2.8))
 CLIP_SIZE = 48  # pixels; observations are half as large
@@ -46,9 +46,7 @@ def film(model: AvatarModel, filmed: Observations) -> Scene:
         validation=(2,),
     )
     with torch.no_grad():
-        motion = FrameMotion(filmed.poses, refined=True).to_artifact(
-            filmed.poses.betas, observations.timestamps
-        )
+        motion = FrameMotion(filmed.poses).to_artifact(filmed.poses.betas, observations.timestamps)
     return Scene(
         observations=observations,
         reference=_reference(model, filmed.poses, cameras, observations),
@@ -75,9 +73,7 @@ def _reference(
     """Every frame from both test cameras; the motion is sampled four times a frame."""
     images, mattes = [], []
     for camera in (1, 2):
-        drawn = render_avatar(
-            model, poses, cameras.Ks[camera], cameras.viewmats[camera], CLIP_SIZE, CLIP_SIZE
-        )
+        drawn = render_avatar(model, poses, cameras.camera(camera))
         images.append(drawn[0])
         mattes.append(drawn[1])
     frames = torch.tensor(observations.frame_indices).repeat(2)

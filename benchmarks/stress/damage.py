@@ -58,7 +58,7 @@ def _missing(clip: BlurryClip, amount: float, generator: torch.Generator) -> Blu
     poses = clip.initial
     assert poses is not None
     lost = torch.rand(len(poses.transl), generator=generator) < amount
-    turns = torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1)
+    turns = poses.axis_angle
     turns, transl = fill_missing(
         turns.masked_fill(lost[:, None, None], math.nan),
         poses.transl.masked_fill(lost[:, None], math.nan),

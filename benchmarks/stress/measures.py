@@ -23,10 +23,11 @@ from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
-from deblur_avatar.avatars.model import AvatarModel, joint_rotations, render_avatar
+from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
-from deblur_avatar.evaluation.motion_errors import joint_positions
 from deblur_avatar.geometry.cameras import project
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging import metrics
 from deblur_avatar.pipeline.evaluate import evaluate
 
@@ -118,7 +119,7 @@ def _crop_scores(
         view = comparison.view
         time = observations.timestamps[view.position]
         nearest = int((reference.motion_times - time).abs().argmin())
-        joints = joint_positions(observations.body, reference.motion.at([nearest]))[0]
+        joints = posed(observations.body, reference.motion.at([nearest])).joints[0]
         for name, ends in (("limbs", LIMBS), ("torso", TORSO)):
             chosen = [i for i, joint in enumerate(SMPL_JOINT_NAMES) if joint.endswith(ends)]
             mask = _discs(observations, view.camera, joints[chosen]) & view.seen
@@ -131,13 +132,12 @@ def _crop_scores(
 def _discs(
     observations: Observations, camera: int, joints: Float[Tensor, "J 3"]
 ) -> Bool[Tensor, "H W"]:
-    cameras = observations.cameras
-    pixels, depths = project(joints, cameras.Ks[camera], cameras.viewmats[camera])
-    width, height = cameras.sizes[camera].tolist()
-    rows, columns = torch.arange(height) + 0.5, torch.arange(width) + 0.5
+    view = observations.cameras.camera(camera)
+    pixels, depths = project(joints, view.K, view.viewmat)
+    rows, columns = torch.arange(view.height) + 0.5, torch.arange(view.width) + 0.5
     across = columns[None, None, :] - pixels[:, 0, None, None]
     down = rows[None, :, None] - pixels[:, 1, None, None]
-    radius = RADIUS * cameras.Ks[camera, 0, 0] / depths
+    radius = RADIUS * view.K[0, 0] / depths
     return (across.square() + down.square() < radius.square()[:, None, None]).any(0)
 
 
@@ -152,14 +152,10 @@ def _area_error(
     drawn, true = 0.0, 0.0
     for comparison in shown:
         view = comparison.view
-        width, height = observations.cameras.sizes[view.camera].tolist()
         _, alpha = render_avatar(
             model,
             fitted.motion.centre.at([view.position]),
-            observations.cameras.Ks[view.camera].to(device),
-            observations.cameras.viewmats[view.camera].to(device),
-            width,
-            height,
+            observations.cameras.camera(view.camera),
         )
         drawn += float((alpha > HALF).sum())
         true += float(view.foreground.sum())
@@ -190,7 +186,7 @@ def _stretch(
 
 def _longest(model: AvatarModel, poses: Poses) -> Float[Tensor, " N"]:
     """Each Gaussian's longest axis over some poses, metres."""
-    rotations = joint_rotations(poses).to(model.betas)
+    rotations = axis_angle_to_matrix(poses.axis_angle).to(model.betas)
     with torch.no_grad():
         transforms = model.transforms(rotations, poses.transl.to(model.betas))
         lengths = []

@@ -76,7 +76,8 @@ def run_mode(mode: ModeParams, setup: FitSetup, film: Film) -> Item:
     worst: Measured | None = None
     for label, severity in mode.severities.items():
         _check(label, severity)
-        if "estimated_shutter" in severity.fit and setup.method.trajectory.motion != "clip":
+        known = type(setup.method.trajectory.motion).model_fields
+        if "estimated_shutter" in severity.fit and "shutter" not in known:
             rows[label] = {"skipped": "this method has no shutter to estimate"}
             continue
         row, measured = _attempt(severity, setup, film)
@@ -146,11 +147,15 @@ def _changed(setup: FitSetup, fit: Mapping[str, float]) -> FitSetup:
     changes: dict[str, Any] = {}
     if "exposure_gain" in fit:
         start = start.model_copy(update={"exposure_gain": "frame"})
+    motion = method.trajectory.motion
     if "estimated_shutter" in fit:
         changes["shutter"] = "estimated"
     if "start_noise" in fit:
         changes["start_noise"] = fit["start_noise"]
-    trajectory = method.trajectory.model_copy(update=changes)
+    # Of what the method's kind of trajectory has: the others have nothing to change.
+    changes = {key: value for key, value in changes.items() if key in type(motion).model_fields}
+    motion = motion.model_copy(update=changes)
+    trajectory = method.trajectory.model_copy(update={"motion": motion})
     return replace(
         setup,
         start=start,

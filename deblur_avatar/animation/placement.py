@@ -13,7 +13,7 @@ from torch import Tensor
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.bodies.posed_body import posed_joints, shaped_joints
+from deblur_avatar.bodies.posed_body import posed, shaped_joints
 from deblur_avatar.geometry.cameras import (
     camera_centres,
     crop_intrinsics,
@@ -105,8 +105,7 @@ def level_view(body: Body, filmed: Poses, viewmat: Float[Tensor, "4 4"]) -> Floa
 
 def mean_pelvis(body: Body, filmed: Poses) -> Float[Tensor, " 3"]:
     """Where the person was on average."""
-    poses = filmed.betas, filmed.global_orient, filmed.body_pose, filmed.transl
-    return posed_joints(body, *poses)[:, 0].mean(0)
+    return posed(body, filmed).joints[:, 0].mean(0)
 
 
 def about_y(angles: Float[Tensor, " F"]) -> Float[Tensor, "F 3 3"]:

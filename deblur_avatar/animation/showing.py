@@ -16,7 +16,8 @@ from deblur_avatar.animation.placement import framed_intrinsics, level_view, pla
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.geometry.cameras import Camera
 
 FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
 
@@ -69,10 +70,10 @@ def plan_shot(
 
 def render_shot(model: AvatarModel, shot: Shot, progress: Progress) -> UInt8[Tensor, "F H W 3"]:
     """Render every pose of a shot, one after the other; `progress` wraps the loop over frames."""
-    K, viewmat = shot.K.to(model.betas.device), shot.viewmat.to(model.betas.device)
+    camera = Camera(shot.K, shot.viewmat, shot.size, shot.size).to(model.betas.device)
     frames = []
     for index in progress(range(len(shot.poses.transl)), "animate"):
-        image, _ = render_avatar(model, shot.poses.at([index]), K, viewmat, shot.size, shot.size)
+        image, _ = render_avatar(model, shot.poses.at([index]), camera)
         frames.append((image[0].cpu() * 255).round().to(torch.uint8))
     return torch.stack(frames)
 
@@ -81,6 +82,4 @@ def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
     """Vertices in a few of the poses; one by one, to bound the memory that blend weights take."""
     step = -(-len(poses.transl) // FRAMING_POSES)
     few = [poses.at([index]) for index in range(0, len(poses.transl), step)]
-    return torch.cat(
-        [posed_vertices(body, p.betas, p.global_orient, p.body_pose, p.transl) for p in few]
-    )
+    return torch.cat([posed(body, p).vertices for p in few])

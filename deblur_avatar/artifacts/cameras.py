@@ -7,7 +7,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from deblur_avatar.artifacts.storage import Artifact
-from deblur_avatar.geometry.cameras import check_cameras
+from deblur_avatar.geometry.cameras import Camera, check_cameras
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,3 +30,8 @@ class Cameras(Artifact):
         if len(self.names) != len(self.Ks):
             raise ValueError(f"{len(self.Ks)} cameras have {len(self.names)} names")
         check_cameras(self.Ks, self.viewmats)
+
+    def camera(self, index: int) -> Camera:
+        """One of them."""
+        width, height = self.sizes[index].tolist()
+        return Camera(self.Ks[index], self.viewmats[index], width, height)

@@ -4,6 +4,7 @@ Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B s
 P body vertices, T triangles, N Gaussians, S instants inside one exposure.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,6 +13,14 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.storage import Artifact
+
+# What the parameters of a trajectory are called on disk, where the code has another name.
+NAMES_ON_DISK = {
+    "samples_per_frame": "taken",
+    "initial_axis_angle": "first_axis_angle",
+    "initial_transl": "first_transl",
+}
+_NAMES_IN_CODE = {there: here for here, there in NAMES_ON_DISK.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,3 +44,13 @@ class Motion(Artifact):
     transl: Float32[Tensor, "F S 3"]
     centre: Poses
     parameters: dict[str, Tensor]
+
+
+def named_on_disk(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """A trajectory's tensors by the names that `Motion.parameters` has for them."""
+    return {NAMES_ON_DISK.get(name, name): value for name, value in state.items()}
+
+
+def named_in_code(parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """What `named_on_disk` was given."""
+    return {_NAMES_IN_CODE.get(name, name): value for name, value in parameters.items()}

@@ -15,6 +15,7 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.light import check_light
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.storage import Artifact
+from deblur_avatar.geometry.cameras import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,11 @@ class Observations(Artifact):
     validation: tuple[int, ...]
     depth_known: bool
     hidden: float
+
+    @property
+    def camera(self) -> Camera:
+        """The training camera."""
+        return self.cameras.camera(self.train_camera)
 
     def validate(self) -> None:
         """Refuse an unknown light, an empty training set, frames in two roles."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from deblur_avatar.artifacts.storage import Artifact
@@ -21,6 +21,11 @@ class Poses(Artifact):
     global_orient: Float32[Tensor, "F 3"]
     body_pose: Float32[Tensor, "F K 3"]  # K = J - 1
     transl: Float32[Tensor, "F 3"]
+
+    @property
+    def axis_angle(self) -> Float[Tensor, "F J 3"]:
+        """Rotations of all joints relative to their parents, the root's first."""
+        return torch.cat([self.global_orient[:, None], self.body_pose], dim=1)
 
     def at(self, frames: slice | Sequence[int] | Tensor) -> "Poses":
         """Pick some of the instants."""

@@ -31,7 +31,7 @@ from deblur_avatar.bodies.posed_body import (
 )
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.geometry.cameras import camera_centres
+from deblur_avatar.geometry.cameras import Camera, camera_centres
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import (
     blend_transforms,
@@ -266,10 +266,7 @@ class AvatarModel(nn.Module):
 def render_avatar(
     model: AvatarModel,
     poses: Poses,
-    K: Float[Tensor, "3 3"],
-    viewmat: Float[Tensor, "4 4"],
-    width: int,
-    height: int,
+    camera: Camera,
     *,
     frame: int = -1,
     background: Float[Tensor, " 3"] | None = None,
@@ -280,10 +277,7 @@ def render_avatar(
     Args:
         model: whom to draw.
         poses: B of them; their shape numbers are ignored in favour of the avatar's.
-        K: intrinsics, pixels.
-        viewmat: world to camera.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
+        camera: who looks.
         frame: training position whose latent code colours are drawn with; -1 for the last.
         background: in the space in which the avatar's light is averaged; black if not given.
         average: draw the B poses as the instants of one exposure, frame_state for the middle one.
@@ -292,31 +286,27 @@ def render_avatar(
         sRGB images in [0, 1], and coverage; of one exposure if `average`.
     """
     device = model.betas.device
+    camera = camera.to(device)
     frame = model.frames - 1 if frame < 0 else frame
     groups = [range(len(poses.transl))] if average else [[i] for i in range(len(poses.transl))]
     images, alphas = [], []
     with torch.no_grad():
-        turned = joint_rotations(poses).to(device)
+        turned = axis_angle_to_matrix(poses.axis_angle).to(device)
         for group in groups:
             index = torch.tensor(list(group), device=device)
             rotations = turned[index]
             transforms = model.transforms(rotations, poses.transl.to(device)[index])
             middle = len(group) // 2
             frame_state = model.condition(rotations[middle], frame)
-            colors = model.colors(frame_state, transforms[middle], viewmat)
+            colors = model.colors(frame_state, transforms[middle], camera.viewmat)
             means, covars = frame_state.posed(transforms)
             drawn = rasterize(
-                means, covars, model.gaussians.opacities, colors, viewmat, K, width, height,
-                background=background, average=average,
+                means, covars, model.gaussians.opacities, colors, camera.viewmat, camera.K,
+                camera.width, camera.height, background=background, average=average,
             )  # fmt: skip
             images.append(drawn.image)
             alphas.append(drawn.alpha)
     return encode(torch.cat(images), model.light), torch.cat(alphas)
-
-
-def joint_rotations(poses: Poses) -> Float[Tensor, "F J 3 3"]:
-    """Rotations of all joints relative to their parents, the root's first."""
-    return axis_angle_to_matrix(torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1))
 
 
 def encode(image: Float[Tensor, "*batch H W 3"], light: str) -> Float[Tensor, "*batch H W 3"]:

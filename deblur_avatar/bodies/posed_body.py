@@ -6,6 +6,7 @@ metres.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -19,6 +20,34 @@ from deblur_avatar.geometry.skinning import forward_kinematics, skin_points
 # Joints whose chain opens the legs in the "Vitruvian" canonical pose (3DGS-Avatar's choice).
 LEFT_LEG, RIGHT_LEG = 1, 2
 VITRUVIAN_ANGLE = torch.pi / 4  # of each leg from the vertical
+
+
+@dataclass(frozen=True)
+class PosedBody:
+    """A body in some poses, with the shape that these bring along."""
+
+    body: Body
+    poses: Poses
+
+    @property
+    def joints(self) -> Float[Tensor, "F J 3"]:
+        """Positions of the joints in the world, metres."""
+        return posed_joints(self.body, *self._motion)
+
+    @property
+    def vertices(self) -> Float[Tensor, "F P 3"]:
+        """Positions of the vertices, of all poses at once; `posed_meshes` spares memory."""
+        return posed_vertices(self.body, *self._motion)
+
+    @property
+    def _motion(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        poses = self.poses
+        return poses.betas, poses.global_orient, poses.body_pose, poses.transl
+
+
+def posed(body: Body, poses: Poses) -> PosedBody:
+    """Pose a body."""
+    return PosedBody(body, poses)
 
 
 def shaped_joints(body: Body, betas: Float[Tensor, " B"]) -> Float[Tensor, "J 3"]:
@@ -76,8 +105,7 @@ def posed_vertices(
 def posed_meshes(body: Body, poses: Poses) -> Iterator[Float[Tensor, "P 3"]]:
     """Vertices of the posed body, frame by frame: pose blend shapes of many would fill memory."""
     for index in range(len(poses.transl)):
-        pose = poses.at([index])
-        yield posed_vertices(body, pose.betas, pose.global_orient, pose.body_pose, pose.transl)[0]
+        yield posed(body, poses.at([index])).vertices[0]
 
 
 def posed_joints(

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
-from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.body_estimation.body_fit import OUTLIER_SHARE, BodyFit
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
@@ -42,9 +42,7 @@ def measure_fit(
         several pixels, `principal_point_shifts` of the scene can take it away.
     """
     poses = fit.poses
-    motion = poses.global_orient, poses.body_pose, poses.transl
-    chosen = [part[::EVERY] for part in motion]
-    vertices = posed_vertices(body, poses.betas, *chosen).numpy()
+    vertices = posed(body, poses.at(slice(None, None, EVERY))).vertices.numpy()
     report = {}
     for row, camera in enumerate(recorded):
         seen = fit.residuals[row][fit.residuals[row] > 0]

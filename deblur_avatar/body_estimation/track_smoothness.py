@@ -7,7 +7,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.bodies.posed_body import posed_joints
+from deblur_avatar.bodies.posed_body import posed
 
 SLOW = 0.25  # m/s; below it a joint stands, and no step is a jump by being a multiple of nothing
 
@@ -20,7 +20,7 @@ def measure_track(body: Body, poses: Poses, timestamps: Float[Tensor, " F"]) -> 
         next), and the largest of each joint in `by_joint`; `fastest_m_s`: the highest speed.
         Empty for fewer than four frames.
     """
-    joints = posed_joints(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    joints = posed(body, poses).joints
     if len(joints) < 4:
         return {}
     speeds = (joints[1:] - joints[:-1]).norm(dim=-1) / timestamps.diff()[:, None]

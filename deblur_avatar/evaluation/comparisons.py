@@ -13,7 +13,6 @@ from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.evaluation.truth_views import (
     TruthView,
-    size_of,
 )
 from deblur_avatar.imaging import metrics
 from deblur_avatar.imaging.color import srgb_to_linear
@@ -43,14 +42,10 @@ def compare(
     that was (as 3DGS-Avatar does).
     """
     trained = view.position in observations.train
-    width, height = size_of(observations, view.camera)
     image, _ = render_avatar(
         model,
         poses.at([view.position]),
-        observations.cameras.Ks[view.camera].to(model.betas.device),
-        observations.cameras.viewmats[view.camera].to(model.betas.device),
-        width,
-        height,
+        observations.cameras.camera(view.camera),
         frame=view.position if trained else max(observations.train),
         background=_background(reference, model),
     )

@@ -56,15 +56,10 @@ def draw_explained(
 def _draw(
     model: AvatarModel, observations: Observations, poses: Poses, position: int, *, average: bool
 ) -> UInt8[Tensor, "H W 3"]:
-    camera = observations.train_camera
-    width, height = observations.cameras.sizes[camera].tolist()
     image, _ = render_avatar(
         model,
         poses,
-        observations.cameras.Ks[camera].to(model.betas.device),
-        observations.cameras.viewmats[camera].to(model.betas.device),
-        width,
-        height,
+        observations.camera,
         frame=min(observations.train, key=lambda index: abs(index - position)),
         average=average,
     )

@@ -18,7 +18,7 @@ from torch import Tensor
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
     quat_conjugate,
@@ -42,13 +42,16 @@ def pose_errors(body: Body, estimated: Poses, true: Poses) -> dict[str, float]:
         between the estimated and the true rotation of each joint relative to its parent, of the
         root relative to the world.
     """
-    joints = joint_positions(body, estimated) - joint_positions(body, true)
+    joints = posed(body, estimated).joints - posed(body, true).joints
     # Frame by frame: the blend shapes of 100 poses of 14,000 vertices would fill a gigabyte.
     surface = [
-        (_vertices(body, estimated.at([i])) - _vertices(body, true.at([i]))).norm(dim=-1).mean()
+        (posed(body, estimated.at([i])).vertices - posed(body, true.at([i])).vertices)
+        .norm(dim=-1)
+        .mean()
         for i in range(len(true.transl))
     ]
-    turn = quat_to_axis_angle(quat_multiply(quat_conjugate(_quats(estimated)), _quats(true)))
+    found, wanted = (axis_angle_to_quat(poses.axis_angle) for poses in (estimated, true))
+    turn = quat_to_axis_angle(quat_multiply(quat_conjugate(found), wanted))
     return {
         "joint_error_mm": 1e3 * float(joints.norm(dim=-1).mean()),
         "surface_error_mm": 1e3 * float(torch.stack(surface).mean()),
@@ -84,12 +87,12 @@ def travel_errors(
     still = len(motion.u) == 1
     first, last = (0.0, 1.0) if still else (float(motion.u[0]), float(motion.u[-1]))
     middle = motion.timestamps[chosen]
-    path = joint_positions(body, true)
+    path = posed(body, true).joints
     opened, closed = (
         _interpolated(path, true_times, middle + (u - 0.5) * exposure) for u in (first, last)
     )
     true_travel = (closed - opened) / (last - first)
-    opened, closed = (joint_positions(body, instant(motion, index).at(chosen)) for index in (0, -1))
+    opened, closed = (posed(body, instant(motion, index).at(chosen)).joints for index in (0, -1))
     travel = (closed - opened) / (last - first)
     forward = (travel - true_travel).norm(dim=-1).mean(-1)
     backward = (travel + true_travel).norm(dim=-1).mean(-1)
@@ -110,19 +113,6 @@ def instant(motion: Motion, index: int) -> Poses:
         body_pose=motion.body_pose[:, index],
         transl=motion.transl[:, index],
     )
-
-
-def joint_positions(body: Body, poses: Poses) -> Float[Tensor, "F J 3"]:
-    """Where the joints are in the world, metres."""
-    return posed_joints(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
-
-
-def _vertices(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
-    return posed_vertices(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
-
-
-def _quats(poses: Poses) -> Float[Tensor, "F J 4"]:
-    return axis_angle_to_quat(torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1))
 
 
 def _interpolated(

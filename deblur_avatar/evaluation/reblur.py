@@ -16,16 +16,14 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.evaluation.motion_errors import joint_positions
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
     quat_to_axis_angle,
     slerp,
 )
 from deblur_avatar.imaging.metrics import psnr
-
-# Kinds of motion whose rows know nothing of frames they were not fitted to.
-FRAME_BY_FRAME = ("frame", "pair")
+from deblur_avatar.motion.kinds import kind_of
 
 
 def reblur(
@@ -48,19 +46,13 @@ def mean_reblur_psnr(
     model: AvatarModel, observations: Observations, motion: Motion, positions: Sequence[int]
 ) -> float | None:
     """PSNR of averaged renders against the frames at some positions, dB; None for no position."""
-    camera = observations.train_camera
-    width, height = observations.cameras.sizes[camera].tolist()
-    device = model.betas.device
 
     def score(position: int) -> float:
         nearest = min(observations.train, key=lambda index: abs(index - position))
         image, _ = render_avatar(
             model,
             poses_of_exposure(observations.body, motion, position, observations.train),
-            observations.cameras.Ks[camera].to(device),
-            observations.cameras.viewmats[camera].to(device),
-            width,
-            height,
+            observations.camera,
             frame=nearest,
             average=True,
         )
@@ -76,7 +68,7 @@ def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence
     are arbitrary where each frame was fitted for itself: the second frame's is reversed if that
     brings its joints nearer to the first's.
     """
-    if motion.kind not in FRAME_BY_FRAME or position in train:
+    if kind_of(motion).knows_unfitted or position in train:
         return _row(motion, position)
     before = [index for index in train if index < position]
     after = [index for index in train if index > position]
@@ -84,19 +76,14 @@ def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence
         return _row(motion, before[-1] if before else after[0])
     start, end = _row(motion, before[-1]), _row(motion, after[0])
     backward = end.at(list(reversed(range(len(end.transl)))))
-    here = joint_positions(body, start)
-    if _distance(here, joint_positions(body, backward)) < _distance(
-        here, joint_positions(body, end)
-    ):
+    here = posed(body, start).joints
+    if _distance(here, posed(body, backward).joints) < _distance(here, posed(body, end).joints):
         end = backward
     return _between(start, end, (position - before[-1]) / (after[0] - before[-1]))
 
 
 def _between(start: Poses, end: Poses, share: float) -> Poses:
-    first, second = (
-        axis_angle_to_quat(torch.cat([poses.global_orient[:, None], poses.body_pose], dim=1))
-        for poses in (start, end)
-    )
+    first, second = (axis_angle_to_quat(poses.axis_angle) for poses in (start, end))
     mixed = quat_to_axis_angle(slerp(first, second, torch.tensor([share]))[0])
     transl = start.transl + share * (end.transl - start.transl)
     return replace(start, global_orient=mixed[:, 0], body_pose=mixed[:, 1:], transl=transl)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
@@ -47,11 +47,8 @@ def blur_extent(observations: Observations) -> dict[str, float]:
     """
     if not observations.exposure or len(observations.timestamps) < 3:
         return {}
-    poses, camera = observations.poses, observations.train_camera
-    motion = poses.global_orient, poses.body_pose, poses.transl
-    joints = posed_joints(observations.body, poses.betas, *motion)
-    lens = observations.cameras.Ks[camera], observations.cameras.viewmats[camera]
-    pixels, _ = project(joints, *lens)
+    joints, camera = posed(observations.body, observations.poses).joints, observations.camera
+    pixels, _ = project(joints, camera.K, camera.viewmat)
     times = observations.timestamps
     speeds = (pixels[2:] - pixels[:-2]).norm(dim=-1) / (times[2:] - times[:-2])[:, None]
     travel = speeds[observations.weights[1:-1] > 0] * observations.exposure
@@ -71,9 +68,8 @@ def seen_azimuths(observations: Observations) -> Float[np.ndarray, " F"]:
     """Where the camera stood about the body in training frames: degrees, 0 front, 90 left."""
     frames = [index for index in observations.train if observations.weights[index] > 0]
     poses = observations.poses.at(frames)
-    centre = camera_centres(observations.cameras.viewmats[observations.train_camera])
-    motion = poses.global_orient, poses.body_pose, poses.transl
-    pelvis = posed_joints(observations.body, poses.betas, *motion)[:, 0]
+    centre = camera_centres(observations.camera.viewmat)
+    pelvis = posed(observations.body, poses).joints[:, 0]
     towards = (centre - pelvis)[:, None] @ axis_angle_to_matrix(poses.global_orient)
     return np.degrees(np.arctan2(towards[:, 0, 0].numpy(), towards[:, 0, 2].numpy()))
 
@@ -88,10 +84,7 @@ def coverage(azimuths: Float[np.ndarray, " F"]) -> float:
 def silhouette(observations: Observations, position: int) -> Bool[np.ndarray, "H W"]:
     """The estimated body in one frame."""
     view = View.of(observations.cameras, observations.train_camera, samples_per_axis=1)
-    pose = observations.poses.at([position])
-    vertices = posed_vertices(
-        observations.body, pose.betas, pose.global_orient, pose.body_pose, pose.transl
-    )[0]
+    vertices = posed(observations.body, observations.poses.at([position])).vertices[0]
     rays = view.directions.reshape(-1, 3)
     hits = cast_rays(vertices.numpy(), observations.body.faces.numpy(), view.centre, rays)
     return (hits.triangle >= 0).reshape(view.height, view.width)
@@ -106,9 +99,8 @@ def spaced_frames(observations: Observations, count: int) -> list[int]:
 
 def height_px(observations: Observations, joints: Float[Tensor, "F J 3"]) -> float | None:
     """The person's median height in the training camera, pixels; None without frames."""
-    camera = observations.train_camera
-    lens = observations.cameras.Ks[camera], observations.cameras.viewmats[camera]
-    rows = project(joints, *lens)[0][..., 1]
+    camera = observations.camera
+    rows = project(joints, camera.K, camera.viewmat)[0][..., 1]
     # From the head's joint to the toes' are some nine tenths of a person.
     return float((rows.amax(1) - rows.amin(1)).median() / 0.9) if len(rows) else None
 

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, joint_rotations
-from deblur_avatar.geometry.rotations import matrix_to_quat
+from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_quat
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.rendering.covariances import whole_matrices
 
@@ -42,7 +42,7 @@ def posed_gaussians(
     """
     device = model.betas.device
     with torch.no_grad():
-        rotations = joint_rotations(pose).to(device)
+        rotations = axis_angle_to_matrix(pose.axis_angle).to(device)
         transforms = model.transforms(rotations, pose.transl.to(device))
         state = model.condition(rotations[0], model.frames - 1 if frame < 0 else frame)
         means, covars = state.posed(transforms)

@@ -5,11 +5,27 @@ Conventions. OpenCV axes: +X right, +Y down, +Z forward. `viewmats` go from worl
 s scales every entry of K's first two rows by s.
 """
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 MINIMUM_DEPTH = 1e-6  # metres; a point nearer than this has no picture
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One pinhole camera and the size of its picture."""
+
+    K: Float[Tensor, "3 3"]  # pixels
+    viewmat: Float[Tensor, "4 4"]  # world to camera
+    width: int
+    height: int
+
+    def to(self, like: Tensor | torch.device) -> "Camera":
+        """The same camera where another tensor is, or on a device."""
+        return Camera(self.K.to(like), self.viewmat.to(like), self.width, self.height)
 
 
 def project(

@@ -132,3 +132,10 @@ def _signs(sums: tuple[str, ...], dtype: torch.dtype, device: torch.device) -> T
             sign = -1 if start and terms[start - 1] == "-" else 1
             table[4 * first + second, column] += sign
     return table.to(device)
+
+
+def continuous(quats: Float[Tensor, "F J 4"]) -> Float[Tensor, "F J 4"]:
+    """Choose, of the two quaternions of each rotation, the one nearer to the frame before."""
+    flips = torch.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)
+    signs = torch.cat([torch.ones_like(flips[:1]), flips]).cumprod(0)
+    return quats * signs[..., None]

@@ -1,19 +1,26 @@
-"""One smooth trajectory for the whole clip, of which every exposure is a piece.
+"""Cubic B-spline trajectory of the whole clip, of which every exposure is a piece.
 
 Conventions. Knots stand evenly in time; `middles` are the frames' middles in units of the knots'
 spacing. F frames, K knots, J joints, S instants. Penalties weigh a shift against a joint's turn by
 LEVER.
 """
 
+import logging
 import math
+from typing import Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
+from deblur_avatar.artifacts.motion import Motion, named_in_code
+from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.config.section import Count, NonNegative, Positive
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
+    continuous,
     quat_conjugate,
     quat_multiply,
     quat_to_axis_angle,
@@ -23,15 +30,34 @@ from deblur_avatar.geometry.splines import (
     spline_points,
     spline_quats,
 )
+from deblur_avatar.motion.knot_spacing import choose_spacing
+from deblur_avatar.motion.shutter_certainty import GUESS_STD, MAX_LOG_RATIO, shutter_std
 from deblur_avatar.motion.trajectory import (
+    LEVER,
     Instants,
+    MotionParams,
+    Quadrature,
+    Render,
     Trajectory,
     instants,
-    stacked_axis_angle,
 )
+from deblur_avatar.motion.virtual_poses import farthest_travel
 
-LEVER = 0.3  # metres that a joint's turn of one radian moves what hangs on it, roughly
-WIDEST = math.log(4)  # an estimated shutter stays within a quarter and four times the first guess
+logger = logging.getLogger(__name__)
+
+
+class ClipParams(MotionParams):
+    """One trajectory for the whole clip."""
+
+    kind: Literal["clip"]
+    virtual_poses: Count  # at most, where `pixels_per_pose` says how many
+    pixels_per_pose: NonNegative  # farthest travel in the picture per virtual pose; 0: always all
+    shutter: Literal["given", "estimated"]  # how long it was open
+    quadrature: Quadrature  # of the instants that are saved; fitting takes midpoints
+    knot_frames: Positive  # frames between two knots of the trajectory, at most
+    finest_knot_frames: Positive  # and at least, where given poses ask for finer knots
+    finer_knots_gain: NonNegative  # radians by which these must predict held-back poses better
+    smoothness: NonNegative  # of the first trajectory, against closeness to the given poses
 
 
 class ClipMotion(Trajectory):
@@ -44,12 +70,14 @@ class ClipMotion(Trajectory):
     """
 
     kind = "clip"
+    Params: ClassVar[type[MotionParams]] = ClipParams
+    knows_unfitted = True
     middles: Tensor
     guess: Tensor
-    taken: Tensor
+    samples_per_frame: Tensor
     halfway: Tensor | None
-    first_axis_angle: Tensor
-    first_transl: Tensor
+    initial_axis_angle: Tensor
+    initial_transl: Tensor
 
     def __init__(
         self,
@@ -63,16 +91,48 @@ class ClipMotion(Trajectory):
     ) -> None:
         """Take knots, and how long the shutter was open, in units of the knots' spacing."""
         super().__init__()
+        self._pixels_per_pose = 0.0
         self.register_buffer("u", u, persistent=False)
         self.register_buffer("middles", middles)
         self.register_buffer("guess", guess)
-        self.register_buffer("taken", torch.full(middles.shape, len(u)))
-        self.register_buffer("first_axis_angle", axis_angle.clone())
-        self.register_buffer("first_transl", transl.clone())
+        self.register_buffer("samples_per_frame", torch.full(middles.shape, len(u)))
+        self.register_buffer("initial_axis_angle", axis_angle.clone())
+        self.register_buffer("initial_transl", transl.clone())
         self.axis_angle = nn.Parameter(axis_angle)
         self.transl = nn.Parameter(transl)
         self.log_shutter = nn.Parameter(guess.new_zeros(()), requires_grad=estimate_shutter)
         self.register_buffer("halfway", guess.new_zeros(()) if estimate_shutter else None)
+
+    @classmethod
+    def create(
+        cls, observations: Observations, params: ClipParams, generator: torch.Generator
+    ) -> "ClipMotion":
+        """The smoothest curve near the given poses, with knots as close as these ask for.
+
+        Raises:
+            ConfigError: if the exposure is unknown, or there is a single frame.
+        """
+        if observations.exposure is None:
+            raise ConfigError(
+                "kind: clip needs to know how long the shutter was open; the clip does not say"
+            )
+        if len(observations.timestamps) < 2:
+            raise ConfigError(
+                "kind: clip needs two frames or more, the clip has 1: a single blurred frame "
+                "does not tell which way it moved; take more frames, or a method with kind: pair"
+            )
+        frame = float(observations.timestamps.diff().median())
+        spacing = choose_spacing(
+            observations.poses, observations.timestamps, params.knot_frames * frame,
+            params.finest_knot_frames * frame, params.smoothness, params.finer_knots_gain,
+        )  # fmt: skip
+        motion = cls.near(
+            observations.poses, instants(params.virtual_poses, params.quadrature),
+            observations.timestamps, observations.exposure, spacing, params.smoothness,
+            estimate_shutter=params.shutter == "estimated",
+        )  # fmt: skip
+        motion._pixels_per_pose = params.pixels_per_pose
+        return motion
 
     @classmethod
     def near(
@@ -87,13 +147,13 @@ class ClipMotion(Trajectory):
         estimate_shutter: bool = False,
     ) -> "ClipMotion":
         """The smoothest curve near given poses; exposure and knot spacing in seconds."""
-        reach = exposure / 2 * (math.exp(WIDEST) if estimate_shutter else 1)
+        reach = exposure / 2 * (math.exp(MAX_LOG_RATIO) if estimate_shutter else 1)
         first = float(timestamps[0]) - reach
         span = float(timestamps[-1]) + reach - first
         count = max(round(span / knot_spacing) + 1, 2)
         spacing = span / (count - 1)
         middles = (timestamps - first) / spacing
-        quats = continuous(axis_angle_to_quat(stacked_axis_angle(poses)))
+        quats = continuous(axis_angle_to_quat(poses.axis_angle))
         knots = fit_knots(quats.flatten(1), middles, count, smoothness).unflatten(1, (-1, 4))
         axis_angle = quat_to_axis_angle(nn.functional.normalize(knots, dim=-1))
         transl = fit_knots(poses.transl, middles, count, smoothness)
@@ -101,22 +161,24 @@ class ClipMotion(Trajectory):
         return cls(u, middles, guess, axis_angle, transl, estimate_shutter=estimate_shutter)
 
     @classmethod
-    def restored(cls, u: Float[Tensor, " S"], parameters: dict[str, Tensor]) -> "ClipMotion":
+    def from_artifact(cls, motion: Motion) -> "ClipMotion":
         """The trajectory that `to_artifact` saved; its shutter is settled."""
+        saved = named_in_code(motion.parameters)
         names = ("middles", "guess", "axis_angle", "transl")
         # Clones: fitting works in place, and an artifact never changes.
-        motion = cls(u, *(parameters[name].clone() for name in names), estimate_shutter=False)
-        motion.load_state_dict({name: parameters[name] for name in motion.state_dict()})
-        return motion
+        tensors = (saved[name].clone() for name in names)
+        trajectory = cls(motion.u, *tensors, estimate_shutter=False)
+        trajectory.load_state_dict({name: saved[name] for name in trajectory.state_dict()})
+        return trajectory
 
     @property
     def shutter(self) -> Float[Tensor, ""]:
         """How long the shutter was open, in units of the knots' spacing."""
-        return self.guess * self.log_shutter.clamp(-WIDEST, WIDEST).exp()
+        return self.guess * self.log_shutter.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
 
     def forward(self, frame: int) -> Instants:
         """The piece of the trajectory that one exposure sees, at as many instants as it needs."""
-        return self.at(frame, instants(int(self.taken[frame]), "midpoints").to(self.u))
+        return self.at(frame, instants(int(self.samples_per_frame[frame]), "midpoints").to(self.u))
 
     def at(self, frame: int, u: Float[Tensor, " S"]) -> Instants:
         """The piece of the trajectory that one exposure sees."""
@@ -125,16 +187,23 @@ class ClipMotion(Trajectory):
         transl = spline_points(self.transl, times)
         return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
 
-    def first(self, frame: int) -> Instants:
+    def initial(self, frame: int) -> Instants:
         """The middle of one exposure as it was before fitting."""
         time = self.middles[frame : frame + 1]
-        quats = spline_quats(axis_angle_to_quat(self.first_axis_angle), time)
-        transl = spline_points(self.first_transl, time)
+        quats = spline_quats(axis_angle_to_quat(self.initial_axis_angle), time)
+        transl = spline_points(self.initial_transl, time)
         return Instants(quats, transl, quats[0], transl[0])
 
-    def counts(self, frames: int) -> Int64[Tensor, " F"]:
+    def num_samples(self, frames: int) -> Int64[Tensor, " F"]:
         """How many instants fitting takes of each exposure."""
-        return self.taken.clone()
+        return self.samples_per_frame.clone()
+
+    def choose_samples(self, observations: Observations) -> None:
+        """A virtual pose per `pixels_per_pose` of the farthest travel."""
+        if self._pixels_per_pose > 0:
+            travel = farthest_travel(self, observations)
+            wanted = (travel / self._pixels_per_pose).ceil().long()
+            self.samples_per_frame.copy_(wanted.clamp(1, len(self.u)))
 
     def estimated_shutter(self, timestamps: Float[Tensor, " F"]) -> float | None:
         """How long the shutter was open, seconds, where that was an unknown of the motion."""
@@ -143,14 +212,63 @@ class ClipMotion(Trajectory):
         spacing = (timestamps[-1] - timestamps[0]) / (self.middles[-1] - self.middles[0])
         return float(self.shutter.detach() * spacing)
 
-    def mark_halfway(self) -> None:
+    def remember_halfway(self) -> None:
         """Remember an estimated shutter as it is now, to tell later how far it has moved since."""
         if self.halfway is not None:
             self.halfway.copy_(self.log_shutter.detach())
 
-    def take(self, counts: Int64[Tensor, " F"]) -> None:
-        """Choose how many instants fitting takes of each exposure from now on."""
-        self.taken.copy_(counts)
+    def settle(self, observations: Observations, render: Render) -> dict[str, Any]:
+        """Keep an estimated shutter, or go back to the guess where the frames do not tell it.
+
+        Its variance is the frames' (`shutter_std`) plus the square of how far it moved in the last
+        half of the stage, which stands for how far it still is from where it would converge.
+        Frames and guess are weighed as independent.
+
+        Returns:
+            `shutter_s` and `shutter_std_s`, seconds, and who told it: `shutter_from` frames or
+            guess. Nothing of a shutter that was given.
+        """
+        if self.halfway is None:
+            return {}
+
+        def exposed(frame: int, log_shutter: float) -> Tensor:
+            return render(frame, self.with_shutter(frame, log_shutter))
+
+        told = shutter_std(exposed, self.log_shutter, observations)
+        source = "frames" if told < GUESS_STD else "guess"
+        moved = float(self.log_shutter.detach() - self.halfway)
+        if source == "guess":
+            with torch.no_grad():
+                self.log_shutter.zero_()
+            std = GUESS_STD
+            told_as = "nothing moved enough to tell: the guess stands"
+        else:
+            std = (1 / (told**2 + moved**2) + 1 / GUESS_STD**2) ** -0.5
+            told_as = f"it moved by {math.expm1(moved):+.1%} in the last half of the stage"
+        shutter = self.estimated_shutter(observations.timestamps)
+        assert shutter is not None
+        logger.info(
+            "the shutter was open for %.1f ms, give or take %.1f; %s",
+            1e3 * shutter, 1e3 * shutter * std, told_as,
+        )  # fmt: skip
+        return {"shutter_s": shutter, "shutter_std_s": shutter * std, "shutter_from": source}
+
+    @torch.no_grad()
+    def with_shutter(self, frame: int, log_shutter: float) -> Instants:
+        """The instants of one exposure, had the logarithm of the shutter been this."""
+        fitted = self.log_shutter.detach().clone()
+        self.log_shutter.fill_(log_shutter)
+        exposure = self(frame)
+        self.log_shutter.copy_(fitted)
+        return exposure
+
+    def parameter_groups(self) -> dict[str, list[tuple[str, Tensor]]]:
+        """Rotations and translations of the knots, and the shutter."""
+        return {
+            "poses": [("axis_angle", self.axis_angle)],
+            "transl": [("transl", self.transl)],
+            "shutter": [("log_shutter", self.log_shutter)],
+        }
 
     def priors(self) -> dict[str, Float[Tensor, ""]]:
         """Penalties for leaving the first estimate, and for another shutter than guessed.
@@ -159,10 +277,10 @@ class ClipMotion(Trajectory):
         joint's turn; `shutter` is the squared logarithm of its ratio to the guess.
         """
         quats = axis_angle_to_quat(self.axis_angle)
-        first = axis_angle_to_quat(self.first_axis_angle)
+        initial = axis_angle_to_quat(self.initial_axis_angle)
         return {
-            "anchor": _size(quat_to_axis_angle(quat_multiply(quat_conjugate(first), quats)))
-            + _size((self.transl - self.first_transl) / LEVER),
+            "anchor": _size(quat_to_axis_angle(quat_multiply(quat_conjugate(initial), quats)))
+            + _size((self.transl - self.initial_transl) / LEVER),
             "shutter": self.log_shutter.square(),
         }
 
@@ -170,10 +288,3 @@ class ClipMotion(Trajectory):
 def _size(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, ""]:
     """Mean squared length; 0 of none."""
     return vectors.square().sum(-1).sum() / max(vectors[..., 0].numel(), 1)
-
-
-def continuous(quats: Float[Tensor, "F J 4"]) -> Float[Tensor, "F J 4"]:
-    """Choose, of the two quaternions of each rotation, the one nearer to the frame before."""
-    flips = torch.where((quats[1:] * quats[:-1]).sum(-1) < 0, -1.0, 1.0)
-    signs = torch.cat([torch.ones_like(flips[:1]), flips]).cumprod(0)
-    return quats * signs[..., None]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.bodies.posed_body import posed_joints
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.config.section import (
     Params,
 )
@@ -115,9 +115,7 @@ def check_scene(observations: Observations, fit: Mapping[str, Any]) -> dict[str,
         directions (`azimuths`, degrees, 0 in front) the body was seen.
     """
     shown = observations.weights > 0
-    poses = observations.poses
-    motion = poses.global_orient, poses.body_pose, poses.transl
-    joints = posed_joints(observations.body, poses.betas, *motion)
+    joints = posed(observations.body, observations.poses).joints
     height = height_px(observations, joints[shown])
     blur = blur_extent(observations)
     azimuths = seen_azimuths(observations)

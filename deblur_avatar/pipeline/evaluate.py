@@ -26,7 +26,6 @@ from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import RECOVERED
 from deblur_avatar.evaluation.truth_views import (
-    size_of,
     truth_views,
 )
 
@@ -155,16 +154,11 @@ def _size(avatar: Avatar, motion: Motion, train: Sequence[int]) -> dict[str, Any
 
 def _render_fps(model: AvatarModel, observations: Observations, motion: Motion) -> float:
     """Pictures a second, each in a new pose, dressing included; the first is not counted."""
-    camera = observations.train_camera
-    width, height = size_of(observations, camera)
-    K = observations.cameras.Ks[camera].to(model.betas.device)
-    viewmat = observations.cameras.viewmats[camera].to(model.betas.device)
+    camera = observations.camera
     frames = [observations.train[i % len(observations.train)] for i in range(TIMED_FRAMES + 1)]
     begin = 0.0
     for count, frame in enumerate(frames):
-        image, _ = render_avatar(
-            model, motion.centre.at([frame]), K, viewmat, width, height, frame=frame
-        )
+        image, _ = render_avatar(model, motion.centre.at([frame]), camera, frame=frame)
         image.cpu()  # waits for a device that runs ahead
         if count == 0:
             begin = time.perf_counter()

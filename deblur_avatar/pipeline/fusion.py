@@ -1,21 +1,42 @@
 """The last stage of fitting: sharp and averaged renders are blended where the body moved."""
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
+from pydantic import Field
 
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.model import AvatarModel
-from deblur_avatar.errors import ConfigError
-from deblur_avatar.motion.saved_motion import trajectory_from_artifact
-from deblur_avatar.training.fusion_network import FusionNetwork
-from deblur_avatar.training.params import FusionParams, StartParams
+from deblur_avatar.config.section import Params
+from deblur_avatar.motion.kinds import trajectory_from_artifact
+from deblur_avatar.training.fusion_network import FusionNetwork, FusionNetworkParams
+from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.resume import RunFolder
 from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.supervision import Mask
 from deblur_avatar.training.trainer import AvatarFit, Report
+
+
+class UnfusedParams(Params):
+    """One render is compared with the frame, as in the stage before."""
+
+    supervision: Literal["sharp", "mean"]
+    mask: Mask
+
+
+class FusedParams(Params):
+    """A network blends the sharp and the averaged render."""
+
+    supervision: Literal["fused", "released"]
+    mask: Mask
+    network: FusionNetworkParams
+
+
+# The last stage: what the frame is compared with from here on.
+FusionParams = Annotated[UnfusedParams | FusedParams, Field(discriminator="supervision")]
 
 
 def fuse(
@@ -36,23 +57,11 @@ def fuse(
 
     Returns:
         The avatar, its motion, and what it cost.
-
-    Raises:
-        ConfigError: if fusion is asked for without its network.
     """
     model = AvatarModel.from_artifact(avatar, observations.body, device)
     trajectory = trajectory_from_artifact(motion).to(device)
-    network = None
-    if params.supervision in ("fused", "released"):
-        if params.network is None:
-            raise ConfigError(
-                f"fusion.supervision is {params.supervision}, which needs fusion.network"
-            )
-        posed = params.network.pose and start.model.nonrigid is not None
-        network = FusionNetwork(
-            model.pose_encoder.size if posed else 0, len(observations.frames),
-            params.network.frame_codes, params.network.color_features, params.network.hidden,
-        ).to(device)  # fmt: skip
+    network = new_network(params, start, model, len(observations.frames))
+    network = None if network is None else network.to(device)
     fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator, network)
     fit.restore(checkpoint)
     seconds = fit.run(
@@ -61,3 +70,17 @@ def fuse(
     refined = trajectory.to_artifact(model.betas, observations.timestamps)
     cost = fit.cost(seconds)
     return model.to_artifact(schedule.fusion), refined, cost
+
+
+def new_network(
+    params: FusionParams, start: StartParams, model: AvatarModel, frames: int
+) -> FusionNetwork | None:
+    """The network that blends renders, where they are blended."""
+    if isinstance(params, UnfusedParams):
+        return None
+    sizes = params.network
+    posed = sizes.pose and start.model.nonrigid is not None
+    return FusionNetwork(
+        model.pose_encoder.size if posed else 0, frames,
+        sizes.frame_codes, sizes.color_features, sizes.hidden,
+    )  # fmt: skip

@@ -7,15 +7,16 @@ from deblur_avatar.config.reading import read_params, section_of
 from deblur_avatar.config.runs import RunParams, WarmupParams
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.motion.params import TrajectoryParams
 from deblur_avatar.pipeline.animate import AnimationParams
 from deblur_avatar.pipeline.blur import BlurParams
 from deblur_avatar.pipeline.body import BodyParams
 from deblur_avatar.pipeline.check import CheckParams
 from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.pipeline.fusion import FusionParams
 from deblur_avatar.pipeline.predeblur import PredeblurParams
 from deblur_avatar.pipeline.preprocess import PreprocessParams
-from deblur_avatar.training.params import FusionParams, StartParams
+from deblur_avatar.pipeline.trajectory import TrajectoryParams
+from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams
 
 

@@ -20,7 +20,7 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import BlurryClip
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.body_estimation.body_fit import fit_body
 from deblur_avatar.body_estimation.fit_quality import measure_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
@@ -309,7 +309,7 @@ def _check_in_front(
     cameras: Cameras, camera: int, body: Body, poses: Poses, shown: Bool[Tensor, " F"]
 ) -> None:
     """Refuse a training camera that has the whole person behind it in every frame with one."""
-    joints = posed_joints(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    joints = posed(body, poses).joints
     _, depths = project(joints[shown], cameras.Ks[camera], cameras.viewmats[camera])
     if (depths <= 0).all():
         raise ArtifactError(
@@ -323,7 +323,7 @@ def _crops(
     cameras: Cameras, body: Body, poses: Poses, margin: float, image_height: int
 ) -> tuple[list[Crop], Cameras]:
     """A crop for each camera, and the cameras that see the crops scaled to `image_height`."""
-    vertices = posed_vertices(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    vertices = posed(body, poses).vertices
     crops, Ks, sizes = [], [], []
     for index, name in enumerate(cameras.names):
         width, height = _size(cameras, index)

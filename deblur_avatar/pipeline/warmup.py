@@ -9,7 +9,7 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.model import AvatarModel
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.resume import RunFolder
 from deblur_avatar.training.schedule import ScheduleParams
@@ -39,7 +39,7 @@ def warm_up(
         params.model, observations.body, betas, len(observations.frames), schedule.gaussians,
         observations.light, generator,
     ).to(device)  # fmt: skip
-    trajectory = FrameMotion(observations.poses, refined=False).to(device)
+    trajectory = FixedMotion(observations.poses).to(device)
     fit = AvatarFit(model, trajectory, observations, params, schedule, device, generator)
     begun = folder is not None and folder.progress is not None
     if params.model.skinning is not None and not begun:

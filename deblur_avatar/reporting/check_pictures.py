@@ -17,7 +17,7 @@ from jaxtyping import Bool, UInt8
 
 from deblur_avatar.animation.placement import stage_rotation
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.bodies.posed_body import posed_joints
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.scene_measures import (
     HALF,
     silhouette,
@@ -80,11 +80,10 @@ def _outline(canvas: Picture, inside: Bool[np.ndarray, "H W"], color: tuple[int,
 
 
 def _skeleton(canvas: Picture, observations: Observations, position: int, scale: float) -> None:
-    body, camera = observations.body, observations.train_camera
-    pose = observations.poses.at([position])
-    joints = posed_joints(body, pose.betas, pose.global_orient, pose.body_pose, pose.transl)[0]
-    lens = observations.cameras.Ks[camera], observations.cameras.viewmats[camera]
-    pixels = (project(joints, *lens)[0] * scale).round().long().tolist()
+    body = observations.body
+    joints = posed(body, observations.poses.at([position])).joints[0]
+    camera = observations.camera
+    pixels = (project(joints, camera.K, camera.viewmat)[0] * scale).round().long().tolist()
     for joint, parent in enumerate(body.parents):
         if parent >= 0:
             name = body.joint_names[joint]
@@ -97,8 +96,7 @@ def _skeleton(canvas: Picture, observations: Observations, position: int, scale:
 def _from_above(observations: Observations) -> Picture:
     """Cameras, the way of the pelvis, and which way the body faced."""
     poses, cameras = observations.poses, observations.cameras
-    motion = poses.global_orient, poses.body_pose, poses.transl
-    pelvis = posed_joints(observations.body, poses.betas, *motion)[:, 0]
+    pelvis = posed(observations.body, poses).joints[:, 0]
     viewmat = cameras.viewmats[observations.train_camera]
     try:
         stage = stage_rotation(poses, pelvis.mean(0), viewmat)

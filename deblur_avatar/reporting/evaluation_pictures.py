@@ -16,9 +16,10 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.bodies.posed_body import posed_vertices
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
 from deblur_avatar.evaluation.held_out_blur import draw_explained
+from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import write_picture
 
@@ -126,12 +127,12 @@ def turntable(avatar: Avatar, observations: Observations, device: torch.device) 
     viewmat = observations.cameras.viewmats[camera]
     turns = (SIDES - 1) / SIDES
     poses = place(standing, body, filmed, viewmat, turns=turns, travel=0.0)
-    points = posed_vertices(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
+    points = posed(body, poses).vertices
     size = TURNTABLE_SIZE
     K = framed_intrinsics(points, observations.cameras.Ks[camera], viewmat, size, MARGIN)
     images, _ = render_avatar(
-        AvatarModel.from_artifact(avatar, body, device), poses, K.to(device), viewmat.to(device),
-        size, size, frame=max(observations.train),
+        AvatarModel.from_artifact(avatar, body, device), poses, Camera(K, viewmat, size, size),
+        frame=max(observations.train),
     )  # fmt: skip
     codes = (images.cpu() * 255).round().to(torch.uint8).numpy()
     return contact_sheet(list(codes), SIDES // 2)

@@ -12,9 +12,19 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from deblur_avatar.avatars.networks import ConditionedMLP
+from deblur_avatar.config.section import Count, Params
 
 TOGETHER = 512  # rows of pixels are filled up to a multiple of it
 FREQUENCIES = 4  # of the position code: sine and cosine of rows and of columns, 16 numbers
+
+
+class FusionNetworkParams(Params):
+    """The paper's per-pixel blend of the sharp and the averaged render."""
+
+    hidden: tuple[Count, ...]
+    frame_codes: Count
+    color_features: Count
+    pose: bool  # whether it sees the pose's code (of avatars that have one)
 
 
 class FusionNetwork(nn.Module):

@@ -16,8 +16,7 @@ from deblur_avatar.avatars.gaussians import (
 from deblur_avatar.avatars.model import AvatarModel, encode
 from deblur_avatar.bodies.posed_body import joints_from_rotations
 from deblur_avatar.imaging.lpips import configured_lpips
-from deblur_avatar.motion.clip import LEVER
-from deblur_avatar.motion.trajectory import Instants, Trajectory
+from deblur_avatar.motion.trajectory import LEVER, Instants, Trajectory
 from deblur_avatar.training import losses
 from deblur_avatar.training.isometry import isometry
 from deblur_avatar.training.params import StartParams
@@ -137,7 +136,7 @@ class Objective:
     def _first_depths(self, index: int) -> Tensor | None:
         """The joints' depths before fitting; None where they are not known."""
         if index not in self._known_depths:
-            first = self._trajectory.first(index) if self._depth_known else None
+            first = self._trajectory.initial(index) if self._depth_known else None
             self._known_depths[index] = None if first is None else self._depths(first)
         return self._known_depths[index]
 

@@ -185,12 +185,16 @@ def _other_optimiser(
             if name.startswith(f"{prefix}."):
                 decay = rates.latent_decay if "latents" in name else 0.0
                 alike["network", rate, decay][f"network.{name}"] = value
+    of_group = {"poses": rates.poses, "transl": rates.transl, "shutter": rates.shutter}
+    rate_of = {
+        name: of_group[group]
+        for group, named in trajectory.parameter_groups().items()
+        for name, _ in named
+    }
+    # In the module's order, whatever the groups': the optimiser's memory is kept in it.
     for name, value in trajectory.named_parameters():
         if value.requires_grad:
-            rate = {"transl": rates.transl, "shutter": rates.shutter}.get(
-                name.rpartition("_")[2], rates.poses
-            )
-            alike["motion", rate, 0.0][f"motion.{name}"] = value
+            alike["motion", rate_of[name], 0.0][f"motion.{name}"] = value
     if fusion is not None:
         for name, value in fusion.named_parameters():
             alike["fusion", rates.fusion, 0.0][f"fusion.{name}"] = value

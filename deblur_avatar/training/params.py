@@ -82,20 +82,3 @@ class StartParams(Params):
     losses: LossParams
     densify: DensifyParams
     exposure_gain: Literal["none", "frame"]  # frame: each may be brighter than the clip, or darker
-
-
-class FusionNetworkParams(Params):
-    """The paper's per-pixel blend of the sharp and the averaged render."""
-
-    hidden: tuple[Count, ...]
-    frame_codes: Count
-    color_features: Count
-    pose: bool  # whether it sees the pose's code (of avatars that have one)
-
-
-class FusionParams(Params):
-    """The last stage: what the frame is compared with from here on."""
-
-    supervision: Literal["sharp", "mean", "fused", "released"]
-    mask: Literal["mean", "union", "centre"]
-    network: FusionNetworkParams | None

@@ -5,7 +5,7 @@ fusion network. Iterations are the paper's 15,000. A supervision is named by wha
 authors' released code compares several at once and changes its mind on the way.
 """
 
-from typing import Final
+from typing import Final, Literal
 
 from deblur_avatar.geometry.rotations import (
     quat_conjugate,
@@ -14,6 +14,7 @@ from deblur_avatar.geometry.rotations import (
 )
 from deblur_avatar.motion.trajectory import Trajectory
 
+Mask = Literal["mean", "union", "centre"]  # which coverage is compared with the matte
 RELEASED: Final = "released"
 STILL_SHARE: Final = 0.1  # of the frames count as still, those that turn least (released code)
 MOVING_WEIGHT: Final = 0.1  # of C in frames that move

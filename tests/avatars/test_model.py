@@ -8,7 +8,6 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import (
     AvatarModel,
     encode,
-    joint_rotations,
     render_avatar,
 )
 from deblur_avatar.bodies.posed_body import posed_vertices
@@ -42,7 +41,7 @@ def dressed_up(body, start):
 
 
 def picture(model, poses, front, **options):
-    return render_avatar(model, poses, front.Ks[0], front.viewmats[0], SIZE, SIZE, **options)[0]
+    return render_avatar(model, poses, front.camera(0), **options)[0]
 
 
 def one(poses, index):
@@ -77,7 +76,7 @@ def test_the_canonical_pose_moves_nothing(dressed_up):
 
 def test_transforms_take_canonical_points_to_the_posed_body(dressed_up, body, swinging):
     poses = swinging(2, 30.0)
-    transforms = dressed_up.transforms(joint_rotations(poses), poses.transl)
+    transforms = dressed_up.transforms(axis_angle_to_matrix(poses.axis_angle), poses.transl)
     posed = skin_points(dressed_up.canonical_vertices, body.lbs_weights, transforms)
     expected = posed_vertices(
         body, dressed_up.betas, poses.global_orient, poses.body_pose, poses.transl
@@ -106,7 +105,7 @@ def test_undeformed_gaussians_stay_where_they_are_in_the_canonical_pose(dressed_
 
 
 def test_clothes_move_with_the_pose_but_not_with_the_place(dressed_up, swinging):
-    rotations = joint_rotations(swinging(2, 60.0))
+    rotations = axis_angle_to_matrix(swinging(2, 60.0).axis_angle)
     here, swung = (dressed_up.condition(value, 0) for value in rotations)
     assert (here.means - swung.means).abs().max() > 1e-4
     turned = rotations[0].clone()
@@ -117,7 +116,7 @@ def test_clothes_move_with_the_pose_but_not_with_the_place(dressed_up, swinging)
 
 
 def test_noise_on_the_pose_reaches_the_networks_alone(dressed_up, swinging):
-    rotations = joint_rotations(swinging(1, 0.0))[0]
+    rotations = axis_angle_to_matrix(swinging(1, 0.0).axis_angle)[0]
     noise = 0.1 * torch.randn(24, 3, 3, generator=torch.Generator().manual_seed(0))
     plain, noisy = (dressed_up.condition(rotations, 0, pose_noise=n) for n in (None, noise))
     assert (plain.pose_code - noisy.pose_code).abs().max() > 1e-4
@@ -155,7 +154,7 @@ def test_view_noise_turns_directions_in_canonical_space(dressed_up, swinging, fr
     noise = axis_angle_to_matrix(torch.tensor([0.3, 0.6, -0.4]))
     colors = []
     for given, cameras in ((poses, front), (there, camera)):
-        rotations = joint_rotations(given)[0]
+        rotations = axis_angle_to_matrix(given.axis_angle)[0]
         frame_state = dressed_up.condition(rotations, 0)
         transforms = dressed_up.transforms(rotations, given.transl[0])
         for turn in (None, noise):
@@ -167,7 +166,7 @@ def test_view_noise_turns_directions_in_canonical_space(dressed_up, swinging, fr
 
 def test_colours_are_seen_along_the_line_from_the_camera(dressed_up, swinging, front):
     poses = swinging(1, 0.0)
-    rotations = joint_rotations(poses)[0]
+    rotations = axis_angle_to_matrix(poses.axis_angle)[0]
     frame_state = dressed_up.condition(rotations, 0)
     transforms = dressed_up.transforms(rotations, poses.transl[0])
     colors = dressed_up.colors(frame_state, transforms, front.viewmats[0])
@@ -181,7 +180,7 @@ def test_colours_are_seen_along_the_line_from_the_camera(dressed_up, swinging, f
 
 def test_plain_colours_are_the_first_three_features(painted, swinging, front):
     model = painted()
-    rotations = joint_rotations(swinging(1, 0.0))[0]
+    rotations = axis_angle_to_matrix(swinging(1, 0.0).axis_angle)[0]
     frame_state = model.condition(rotations, 0)
     transforms = model.transforms(rotations, torch.zeros(3))
     colors = model.colors(frame_state, transforms, front.viewmats[0])
@@ -199,7 +198,7 @@ def test_a_still_body_does_not_blur(dressed_up, swinging, front):
 
 def test_an_exposure_is_dressed_and_coloured_for_its_middle(dressed_up, swinging, front):
     poses = swinging(3, 30.0)
-    rotations = joint_rotations(poses)
+    rotations = axis_angle_to_matrix(poses.axis_angle)
     transforms = dressed_up.transforms(rotations, poses.transl)
     with torch.no_grad():
         frame_state = dressed_up.condition(rotations[1], 4)
@@ -241,7 +240,7 @@ def test_encoding_keeps_colours_in_range_and_gradients_finite():
 def test_coverage_is_that_of_the_picture(painted, swinging, front):
     poses = swinging(2, 0.0)
     images, alphas = render_avatar(
-        painted(), poses, front.Ks[0], front.viewmats[0], SIZE, SIZE,
+        painted(), poses, front.camera(0),
         background=torch.tensor([0.0, 0.0, 1.0]),
     )  # fmt: skip
     corner = alphas[:, 0, 0]
@@ -296,7 +295,7 @@ def test_an_artifact_does_not_change_when_fitting_goes_on(dressed_up, body):
 
 def test_without_a_skinning_network_other_gaussians_have_other_weights(painted, body, swinging):
     model = painted()
-    rotations = joint_rotations(swinging(1, 0.0))[0]
+    rotations = axis_angle_to_matrix(swinging(1, 0.0).axis_angle)[0]
     before = model.condition(rotations, 0).lbs_weights
     with torch.no_grad():
         model.gaussians.means = torch.nn.Parameter(model.gaussians.means.flip(0))
@@ -344,7 +343,7 @@ def test_a_composition_from_another_version_is_refused(dressed_up, body):
 def test_covariance_factors_are_square_roots_of_covariances_after_deformation_too(
     dressed_up, swinging
 ):
-    frame_state = dressed_up.condition(joint_rotations(swinging(1, 0.0))[0], 0)
+    frame_state = dressed_up.condition(axis_angle_to_matrix(swinging(1, 0.0).axis_angle)[0], 0)
     _, covars = frame_state.posed(torch.eye(4).expand(1, 24, 4, 4))
     whole = frame_state.covariance_factors @ frame_state.covariance_factors.mT
     torch.testing.assert_close(upper_triangles(whole), covars[0])

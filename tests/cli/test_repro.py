@@ -80,7 +80,7 @@ def test_a_scene_of_a_data_set_lacks_its_folder_its_body_or_both(folder, tiny_co
 def test_parameters_that_cannot_be_run_stop_everything_at_once(folder):
     text = (folder / "params.yaml").read_text()
     (folder / "params.yaml").write_text(text.replace("virtual_poses:", "virtual_pose:"))
-    with pytest.raises(ConfigError, match=r"unknown key 'trajectory.virtual_pose'"):
+    with pytest.raises(ConfigError, match=r"unknown key 'trajectory.motion.virtual_pose'"):
         repro.missing_footage(folder / "params.yaml")
 
 

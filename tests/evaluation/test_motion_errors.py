@@ -7,8 +7,8 @@ import torch
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.motion_errors import (
-    joint_positions,
     pose_errors,
     travel_errors,
 )
@@ -94,7 +94,7 @@ def test_one_joint_turned_by_ten_degrees_counts_as_a_share_of_all(body):
     turned[:, LEFT_SHOULDER, 2] = math.radians(10)
     errors = pose_errors(body, moved(true, body_pose=turned), moved(true, body_pose=still))
     assert errors["joint_error_deg"] == pytest.approx(10 / 24, rel=1e-4)
-    joints = joint_positions(body, moved(true, body_pose=still))
+    joints = posed(body, moved(true, body_pose=still)).joints
     reach = (joints[0, ARM] - joints[0, 16]).norm(dim=-1)
     chord = 2 * math.sin(math.radians(5)) * reach.sum()
     assert errors["joint_error_mm"] == pytest.approx(1e3 * float(chord) / 24, rel=1e-3)
@@ -129,7 +129,7 @@ def test_a_body_held_still_misses_all_of_the_travel(body):
     timestamps = torch.tensor([0.2])
     motion = motion_of(body, timestamps, torch.tensor([0.5]), backward=False)
     errors = errors_of(body, motion)
-    ends = joint_positions(body, swing(body, torch.tensor([0.175, 0.225])))
+    ends = posed(body, swing(body, torch.tensor([0.175, 0.225]))).joints
     travel = (ends[1] - ends[0]).norm(dim=-1).mean()
     assert errors["travel_error_mm"] == pytest.approx(1e3 * float(travel), rel=1e-3)
     assert errors["travel_error_mm"] > 50  # 1 m/s for 50 ms, and the arm

@@ -6,7 +6,7 @@ import torch
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import render_avatar
-from deblur_avatar.evaluation.motion_errors import joint_positions
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.reblur import poses_of_exposure, reblur
 
 TRAIN = (0, 1, 3, 4)
@@ -50,8 +50,8 @@ def test_a_frame_between_two_fitted_ones_moves_as_they_do_whatever_their_sense_o
     spoilt = linear_motion(body, backward)
     spoilt.transl[2] = 9  # what a frame that was not fitted holds must not matter
     poses = poses_of_exposure(body, spoilt, 2, TRAIN)
-    found = joint_positions(body, poses)
-    wanted = joint_positions(body, poses_of_exposure(body, truth, 2, (0, 1, 2)))
+    found = posed(body, poses).joints
+    wanted = posed(body, poses_of_exposure(body, truth, 2, (0, 1, 2))).joints
     wanted = wanted.flip(0) if 1 in backward else wanted
     torch.testing.assert_close(found, wanted, atol=1e-5, rtol=0)
 
@@ -82,7 +82,7 @@ def test_instants_are_averaged_as_the_shutter_did(scene, painted, body):
     motion = linear_motion(body)
     cameras = scene.observations.cameras
     instants = poses_of_exposure(body, motion, 1, TRAIN)
-    images, _ = render_avatar(model, instants, cameras.Ks[0], cameras.viewmats[0], 24, 24, frame=1)
+    images, _ = render_avatar(model, instants, cameras.camera(0), frame=1)
     frames = scene.observations.frames.clone()
     frames[1] = (images.mean(0) * 255).round().to(torch.uint8)
     observations = dataclasses.replace(scene.observations, frames=frames, train=(1,))

@@ -11,13 +11,13 @@ from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.registry import ExportParams
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FixedMotion
 
 EXPORTER = parse(ExportParams, {"format": "npz"}, "export")
 
 
 def run_of(painted, observations, poses) -> FittedRun:
-    motion = FrameMotion(poses, refined=False).to_artifact(poses.betas, observations.timestamps)
+    motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
     return FittedRun(painted().to_artifact(1), motion, observations)
 
 
@@ -51,9 +51,7 @@ def test_the_file_has_amass_keys_and_stands_on_plus_z(painted, observations, swi
 
 def test_one_frame_is_no_motion(painted, make_observations, swinging, tmp_path):
     run = run_of(painted, make_observations(frames=5), swinging(5, 8.0))
-    motion = FrameMotion(swinging(1, 8.0), refined=False).to_artifact(
-        run.avatar.betas, torch.zeros(1)
-    )
+    motion = FixedMotion(swinging(1, 8.0)).to_artifact(run.avatar.betas, torch.zeros(1))
     with pytest.raises(ConfigError, match="one frame has no frame rate"):
         EXPORTER.export(dataclasses.replace(run, motion=motion), tmp_path / "motion.npz")
 

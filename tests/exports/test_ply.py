@@ -11,7 +11,8 @@ from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.posed_gaussians import axes_of
 from deblur_avatar.exports.registry import ExportParams
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.rendering import covariances, rasterize
 
 C0 = 0.5 / np.sqrt(np.pi)
@@ -19,7 +20,7 @@ SIZE = 96
 
 
 def run_of(model, observations, poses) -> FittedRun:
-    motion = FrameMotion(poses, refined=False).to_artifact(poses.betas, observations.timestamps)
+    motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
     return FittedRun(model.to_artifact(1), motion, observations)
 
 
@@ -56,14 +57,14 @@ def test_another_programs_picture_of_the_file_is_the_avatars(
     assert len(splats["means"]) == 600
     K, viewmat = front.Ks[0].clone(), front.viewmats[0]
     K[:2] *= SIZE / 24
-    ours, _ = render_avatar(model, poses.at([frame]), K, viewmat, SIZE, SIZE)
+    ours, _ = render_avatar(model, poses.at([frame]), Camera(K, viewmat, SIZE, SIZE))
     theirs = rasterize(
         splats["means"][None], splats["covars"], splats["opacities"], splats["colors"], viewmat, K,
         SIZE, SIZE,
     )  # fmt: skip
     assert ours.amax() > 0.5
     assert psnr(theirs.image.clamp(0, 1), ours) >= 50
-    other, _ = render_avatar(model, poses.at([4 - frame]), K, viewmat, SIZE, SIZE)
+    other, _ = render_avatar(model, poses.at([4 - frame]), Camera(K, viewmat, SIZE, SIZE))
     assert psnr(theirs.image.clamp(0, 1), other) < 30
 
 

@@ -6,9 +6,9 @@ import torch
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, quat_to_matrix
-from deblur_avatar.motion.clip import LEVER, ClipMotion
-from deblur_avatar.motion.saved_motion import trajectory_from_artifact
-from deblur_avatar.motion.trajectory import instants
+from deblur_avatar.motion.clip import ClipMotion
+from deblur_avatar.motion.kinds import trajectory_from_artifact
+from deblur_avatar.motion.trajectory import LEVER, instants
 
 
 def circling(frames: int) -> Poses:
@@ -74,7 +74,7 @@ def test_only_as_many_instants_are_fitted_as_an_exposure_is_given():
     motion = clip_motion(circling(12), exposure=2 / 60)
     counts = torch.full((12,), 5)
     counts[3] = 1
-    motion.take(counts)
+    motion.samples_per_frame.copy_(counts)
     assert motion(3).quats.shape[0] == 1
     assert torch.equal(motion(3).transl[0], motion(3).centre_transl)
     assert motion(4).quats.shape[0] == 5
@@ -119,7 +119,7 @@ def test_how_far_an_estimated_shutter_was_is_remembered_until_it_is_settled():
     )
     with torch.no_grad():
         motion.log_shutter.fill_(0.3)
-    motion.mark_halfway()
+    motion.remember_halfway()
     assert float(motion.state_dict()["halfway"]) == pytest.approx(0.3)
     settled = trajectory_from_artifact(motion.to_artifact(poses.betas, times))
     assert "halfway" not in settled.state_dict()
@@ -157,10 +157,10 @@ def test_a_trajectory_remembers_where_it_started(tmp_path):
     with torch.no_grad():
         motion.transl.add_(1.0)
         motion.axis_angle.add_(0.1)
-    first = motion.first(7)
+    first = motion.initial(7)
     torch.testing.assert_close(first.centre_transl, before.centre_transl)
     torch.testing.assert_close(first.centre_quats, before.centre_quats)
     motion.to_artifact(torch.zeros(2), torch.arange(12) / 60).save(tmp_path / "motion")
     again = trajectory_from_artifact(Motion.load(tmp_path / "motion"))
-    torch.testing.assert_close(again.first(7).centre_transl, before.centre_transl)
+    torch.testing.assert_close(again.initial(7).centre_transl, before.centre_transl)
     assert again(7).centre_transl[0] > before.centre_transl[0] + 0.9

@@ -31,7 +31,7 @@ def swinging(period_s: float, degrees: float = 60.0, noise_degrees: float = 0.0)
 
 
 def frames(poses: Poses, coarsest: float = 4.0, finest: float = 1.0) -> float:
-    spacing = choose_spacing(poses, TIMES, coarsest * FRAME, finest * FRAME, 0.1)
+    spacing = choose_spacing(poses, TIMES, coarsest * FRAME, finest * FRAME, 0.1, 0.035)
     return round(spacing / FRAME, 3)
 
 
@@ -52,13 +52,13 @@ def test_knots_are_never_closer_than_allowed():
 def test_what_was_chosen_is_said(caplog):
     with caplog.at_level(logging.INFO):
         frames(swinging(0.25))
-    assert "knots every 33.3 ms foretell poses" in caplog.text
+    assert "knots every 33.3 ms predict poses" in caplog.text
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])
 def test_a_few_frames_choose_without_failing(count):
     poses = swinging(0.25).at(slice(0, count))
-    spacing = choose_spacing(poses, TIMES[:count], 4 * FRAME, FRAME, 0.1)
+    spacing = choose_spacing(poses, TIMES[:count], 4 * FRAME, FRAME, 0.1, 0.035)
     assert spacing >= FRAME * 0.999
 
 

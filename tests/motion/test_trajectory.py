@@ -4,15 +4,16 @@ import pytest
 import torch
 
 from deblur_avatar.artifacts.motion import Motion
-from deblur_avatar.avatars.model import joint_rotations
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.geometry.rotations import axis_angle_to_quat, matrix_to_axis_angle
-from deblur_avatar.motion.saved_motion import trajectory_from_artifact
-from deblur_avatar.motion.trajectory import (
-    FrameMotion,
-    PairMotion,
-    instants,
+from deblur_avatar.geometry.rotations import (
+    axis_angle_to_matrix,
+    axis_angle_to_quat,
+    matrix_to_axis_angle,
 )
+from deblur_avatar.motion.frame import FixedMotion, FrameMotion
+from deblur_avatar.motion.kinds import trajectory_from_artifact
+from deblur_avatar.motion.pair import PairMotion
+from deblur_avatar.motion.trajectory import instants
 
 TIMES = torch.arange(4) / 60
 
@@ -60,14 +61,14 @@ def test_endpoints_make_a_motion_look_longer_than_it_is_and_midpoints_shorter_by
     assert spread["midpoints"] == pytest.approx((1 - 1 / 25) / 12)
 
 
-@pytest.mark.parametrize("refined", [False, True])
-def test_a_frame_motion_stands_still_in_the_given_pose(poses, refined):
-    motion = FrameMotion(poses, refined=refined)
+@pytest.mark.parametrize("kind", [FixedMotion, FrameMotion])
+def test_a_frame_motion_stands_still_in_the_given_pose(poses, kind):
+    motion = kind(poses)
     seen = motion(2)
-    torch.testing.assert_close(seen.rotations[0], joint_rotations(poses)[2])
-    torch.testing.assert_close(seen.centre_rotations, joint_rotations(poses)[2])
+    torch.testing.assert_close(seen.rotations[0], axis_angle_to_matrix(poses.axis_angle[2]))
+    torch.testing.assert_close(seen.centre_rotations, axis_angle_to_matrix(poses.axis_angle[2]))
     torch.testing.assert_close(seen.transl, poses.transl[2:3])
-    assert all(value.requires_grad == refined for value in motion.parameters())
+    assert all(value.requires_grad == (kind is FrameMotion) for value in motion.parameters())
 
 
 def test_a_pair_turns_from_its_start_to_its_end_and_moves_straight(poses):
@@ -107,7 +108,7 @@ def test_noise_parts_the_limbs_leaves_the_root_and_keeps_the_middle(poses):
 
 
 def test_without_noise_a_pair_is_a_frame_motion_that_has_been_copied(poses):
-    still, frame = pair(poses, noise=0.0)(1), FrameMotion(poses, refined=True)(1)
+    still, frame = pair(poses, noise=0.0)(1), FrameMotion(poses)(1)
     torch.testing.assert_close(still.rotations, frame.rotations.expand(5, 24, 3, 3))
     torch.testing.assert_close(still.transl, frame.transl.expand(5, 3))
 
@@ -146,7 +147,7 @@ def test_a_motion_saved_and_loaded_goes_on_where_it_was(poses, kind, tmp_path):
     if kind == "pair":
         motion = pair(poses, 3, quadrature="midpoints")
     else:
-        motion = FrameMotion(poses, refined=kind == "frame")
+        motion = FrameMotion(poses) if kind == "frame" else FixedMotion(poses)
     motion.to_artifact(poses.betas, TIMES).save(tmp_path / "motion")
     loaded = Motion.load(tmp_path / "motion")
     again = trajectory_from_artifact(loaded)
@@ -165,7 +166,9 @@ def test_an_artifact_says_where_the_body_was_at_every_instant(poses):
     assert axis_angle.shape == (4, 5, 24, 3)
     torch.testing.assert_close(axis_angle[3, 0], motion.start[3].detach(), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(axis_angle[3, 4], motion.end[3].detach(), atol=1e-5, rtol=1e-4)
-    torch.testing.assert_close(joint_rotations(artifact.centre)[3], motion(3).centre_rotations)
+    torch.testing.assert_close(
+        axis_angle_to_matrix(artifact.centre.axis_angle[3]), motion(3).centre_rotations
+    )
     torch.testing.assert_close(artifact.transl[2], poses.transl[2].expand(5, 3))
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.pipeline.animate import AnimationParams, animate, sheet_of
 from tests.conftest import colourful
 
@@ -20,7 +20,7 @@ def shown(body, observations, **changes):
     return animate(
         avatar,
         observations,
-        FrameMotion(observations.poses, refined=False).to_artifact(
+        FixedMotion(observations.poses).to_artifact(
             observations.poses.betas, observations.timestamps
         ),
         PARAMS.model_copy(update=changes),

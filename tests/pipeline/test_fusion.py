@@ -4,11 +4,9 @@ import torch
 from deblur_avatar.avatars.params import ModelParams
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.motion.params import TrajectoryParams
-from deblur_avatar.pipeline.fusion import fuse
-from deblur_avatar.pipeline.trajectory import fit_trajectory
+from deblur_avatar.pipeline.fusion import FusionParams, fuse
+from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
-from deblur_avatar.training.params import FusionParams
 
 CPU = torch.device("cpu")
 
@@ -27,7 +25,10 @@ def fused(observations, start, schedule, tiny_content):
         shared = {"device": CPU, "generator": generator}
         section = tiny_content["methods"][method]
         trajectory = parse(TrajectoryParams, section["trajectory"], "trajectory")
-        fusion = parse(FusionParams, section["fusion"] | changes, "fusion")
+        content = section["fusion"] | changes
+        if content["supervision"] in ("sharp", "mean"):
+            content.pop("network", None)
+        fusion = parse(FusionParams, content, "fusion")
         avatar, checkpoint, _ = warm_up(observations, params, schedule, report=quiet, **shared)
         handed = fit_trajectory(
             observations, avatar, checkpoint, params, trajectory, schedule, report=quiet, **shared
@@ -77,10 +78,17 @@ def test_equal_seeds_make_equal_avatars(fused):
     assert all(torch.equal(one.networks[name], same.networks[name]) for name in one.networks)
 
 
-def test_fusing_without_a_network_is_refused(fused):
-    message = r"fusion.supervision is fused, which needs fusion.network"
-    with pytest.raises(ConfigError, match=message):
-        fused(network=None)
+def test_there_is_a_fusion_network_if_and_only_if_renders_are_fused(tiny_content):
+    section = tiny_content["methods"]["paper"]["fusion"]
+    for supervision in ("fused", "released"):
+        bare = {"supervision": supervision, "mask": "mean"}
+        with pytest.raises(
+            ConfigError, match="missing key 'fused.network'|missing key 'released.n"
+        ):
+            parse(FusionParams, bare, "fusion")
+    for supervision in ("sharp", "mean"):
+        with pytest.raises(ConfigError, match=f"unknown key '{supervision}.network'"):
+            parse(FusionParams, section | {"supervision": supervision}, "fusion")
 
 
 def test_an_avatar_without_a_pose_code_is_fused_by_what_is_seen(fused, start):

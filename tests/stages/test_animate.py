@@ -2,7 +2,7 @@ import av
 import pytest
 
 from deblur_avatar.imaging.picture_files import read_picture
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FixedMotion
 from tests.conftest import colourful
 from tests.stages.running import run_script
 
@@ -18,7 +18,7 @@ animations:
 def run_stage(tmp_path, body, observations):
     observations.save(tmp_path / "observations")
     colourful(body, len(observations.frames)).to_artifact(1).save(tmp_path / "avatar")
-    still = FrameMotion(observations.poses, refined=False)
+    still = FixedMotion(observations.poses)
     motion = still.to_artifact(observations.poses.betas, observations.timestamps)
     motion.save(tmp_path / "motion")
 

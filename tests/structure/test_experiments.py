@@ -10,11 +10,6 @@ from pathlib import Path
 import pytest
 from dvc.utils.hydra import apply_overrides
 from ruamel.yaml import YAML
-
-from deblur_avatar.config.reading import load_params, read_params
-from deblur_avatar.pipeline.ablations import SECTIONS
-from deblur_avatar.pipeline.clip import ClipParams
-from deblur_avatar.pipeline.parameters import check_parameters
 from tests.structure.experiments import (
     PARAMS,
     PIPELINE,
@@ -30,6 +25,11 @@ from tests.structure.import_closure import (
     script_of,
     stages,
 )
+
+from deblur_avatar.config.reading import load_params, read_params
+from deblur_avatar.pipeline.ablations import SECTIONS
+from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.pipeline.parameters import check_parameters
 
 BOUNDED = ["ceiling", "oracle", "agnostic"]
 ZJU = ROOT / "experiments/zju"

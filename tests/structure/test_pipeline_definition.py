@@ -7,7 +7,6 @@ import sys
 
 import pytest
 from ruamel.yaml import YAML
-
 from tests.structure.import_closure import (
     ROOT,
     code_dependencies,

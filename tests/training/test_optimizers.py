@@ -7,7 +7,7 @@ import torch
 
 from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.errors import FittingError
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FrameMotion
 from deblur_avatar.training import optimizers as descent_module
 from deblur_avatar.training.optimizers import Descent
 
@@ -20,7 +20,7 @@ def unknowns(observations, start, schedule):
     model = AvatarModel.create(
         start.model, observations.body, poses.betas, 5, 40, "srgb", generator
     )
-    trajectory = FrameMotion(poses, refined=True)
+    trajectory = FrameMotion(poses)
     return model, trajectory, Descent(model, trajectory, None, start, schedule)
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.motion.trajectory import FrameMotion
+from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.training import resume as module
 from deblur_avatar.training.resume import (
     Progress,
@@ -108,7 +108,7 @@ def test_saving_is_due_now_and_then(tmp_path, monkeypatch):
 
 def test_snapshots_are_handed_over_in_order_and_the_rest_is_gone(tmp_path, painted, observations):
     poses = observations.poses
-    still = FrameMotion(poses, refined=False).to_artifact(poses.betas, observations.timestamps)
+    still = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
     out = tmp_path / "item"
     with run_folder(out, "key", frozenset({4, 8, 99})) as folder:
         assert folder.wants(4)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deblur_avatar.motion.exposure_motions import PairMotion
+from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.training.supervision import shares, still_frames
 

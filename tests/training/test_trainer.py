@@ -10,19 +10,15 @@ from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.avatars.params import ModelParams
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.lpips import (
     HEADS_VARIABLE,
     WEIGHTS_VARIABLE,
     Lpips,
 )
-from deblur_avatar.motion.clip import ClipMotion
-from deblur_avatar.motion.exposure_motions import EXPOSURE_MOTIONS
-from deblur_avatar.motion.saved_motion import trajectory_from_artifact
-from deblur_avatar.motion.trajectory import (
-    FrameMotion,
-    PairMotion,
-    instants,
-)
+from deblur_avatar.motion.kinds import KINDS, trajectory_from_artifact
+from deblur_avatar.motion.pair import PairMotion
+from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.training import objective
 from deblur_avatar.training import trainer as avatar_fit
 from deblur_avatar.training.fusion_network import FusionNetwork
@@ -50,6 +46,17 @@ def paced(schedule, last):
     return schedule.model_copy(update={"warmup": 1, "trajectory": 2, "fusion": last})
 
 
+def start_of(kind, noise):
+    """Parameters of any kind of trajectory, with five instants where it has several."""
+    values = {
+        "virtual_poses": 5, "quadrature": "endpoints", "start_noise": noise,
+        "pixels_per_pose": 0.0, "shutter": "given", "knot_frames": 1.0, "finest_knot_frames": 1.0,
+        "finer_knots_gain": 0.0, "smoothness": 0.0,
+    }  # fmt: skip
+    fields = KINDS[kind].Params.model_fields.keys() & values.keys()
+    return KINDS[kind].Params(kind=kind, **{name: values[name] for name in fields})
+
+
 @pytest.fixture
 def begin(observations, start, schedule):
     """Build a fit from scratch, the same one for the same arguments."""
@@ -63,15 +70,9 @@ def begin(observations, start, schedule):
             params.model, seen.body, seen.poses.betas, len(seen.frames), count, seen.light,
             generator,
         )  # fmt: skip
-        if motion in EXPOSURE_MOTIONS:
-            apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
-            kind = EXPOSURE_MOTIONS[motion]
-            trajectory = kind(seen.poses, instants(5, "endpoints"), noise, apart)
-        elif motion == "clip":
-            u = instants(5, "midpoints")
-            trajectory = ClipMotion.near(seen.poses, u, seen.timestamps, 1 / 60, 1 / 60, 0.0)
-        else:
-            trajectory = FrameMotion(seen.poses, refined=motion == "frame")
+        section = start_of(motion, noise)
+        apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
+        trajectory = KINDS[motion].create(seen, section, apart)
         network = None
         if fused:
             network = FusionNetwork(model.pose_encoder.size, len(seen.frames), 4, 4, [8])
@@ -169,9 +170,7 @@ def test_fitting_makes_pictures_like_the_frames(begin, observations, start):
     first, last = (sum(t["l1"] for t in part) / 4 for part in (losses[:4], losses[-4:]))
     assert last < 0.5 * first
     camera = observations.cameras
-    images, _ = render_avatar(
-        fit.model, observations.poses, camera.Ks[0], camera.viewmats[0], 24, 24
-    )
+    images, _ = render_avatar(fit.model, observations.poses, camera.camera(0))
     error = (images[0] - observations.frames[0] / 255).abs().mean()
     black = (observations.frames[0] / 255).mean()
     assert error < 0.4 * black
@@ -616,7 +615,8 @@ def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without
 
     model, K = painted(2, count=600), front.Ks[0].clone()
     K[:2] *= size / 24
-    image, alpha = render_avatar(model, between(u), K, front.viewmats[0], size, size, average=True)
+    camera = Camera(K, front.viewmats[0], size, size)
+    image, alpha = render_avatar(model, between(u), camera, average=True)
     seen = dataclasses.replace(
         observations,
         frames=(255 * image).round().to(torch.uint8),

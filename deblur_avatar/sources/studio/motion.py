@@ -34,6 +34,11 @@ class Moves:
     body_pose: Float[Tensor, "M K 3"]
     transl: Float[Tensor, "M 3"]
 
+    @property
+    def axis_angle(self) -> Float[Tensor, "M J 3"]:
+        """Rotations of all joints relative to their parents, the root's first."""
+        return torch.cat([self.global_orient[:, None], self.body_pose], dim=1)
+
 
 Motion = Callable[[Float[Tensor, " M"], float], Moves]
 

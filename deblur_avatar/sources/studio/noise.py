@@ -53,7 +53,7 @@ def disturb(
     count = 1 + moves.body_pose.shape[1]
     noise = correlated_noise(timestamps, correlation_s, 3 * count + 3, generator) / 3**0.5
     turns = (noise[:, : 3 * count] * degrees * torch.pi / 180).unflatten(1, (count, 3))
-    true = torch.cat([moves.global_orient[:, None], moves.body_pose], 1)
+    true = moves.axis_angle
     quats = quat_multiply(axis_angle_to_quat(turns), axis_angle_to_quat(true))
     wrong = quat_to_axis_angle(quats) if degrees > 0 else true
     shift = noise[:, 3 * count :] * millimetres / 1000

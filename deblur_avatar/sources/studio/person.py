@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
@@ -44,8 +43,7 @@ class Person:
         transforms = joint_transforms(
             self.body, self.betas.double(), moves.global_orient, moves.body_pose, moves.transl
         )
-        turned = torch.cat([moves.global_orient[:, None], moves.body_pose], 1)
-        bends = axis_angle_to_quat(turned)[..., 1:].square().sum(-1)
+        bends = axis_angle_to_quat(moves.axis_angle)[..., 1:].square().sum(-1)
         for transform, bend in zip(transforms.float().numpy(), bends.float().numpy(), strict=True):
             yield self.drape.skinned(transform, bend)
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.bodies.posed_body import posed_vertices, shaped_joints
+from deblur_avatar.bodies.posed_body import posed, shaped_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from deblur_avatar.readers.pickles import load_npy
@@ -124,8 +124,7 @@ def _compare_vertices(root: Path, numbers: Sequence[int], body: Body, poses: Pos
                 f"{path}: wanted the body's {list(body.vertices.shape)} vertices, got {found}; the "
                 "scene's body must be the SMPL file that the poses were fitted with"
             )
-        pose = poses.global_orient[frame], poses.body_pose[frame], poses.transl[frame]
-        ours = posed_vertices(body, poses.betas, *pose)
+        ours = posed(body, poses.at([frame])).vertices[0]
         distance = (ours - torch.from_numpy(given.astype(np.float32))).norm(dim=1)
         mean_mm = 1000 * float(distance.mean())
         report = logger.warning if mean_mm > NEAR_MM else logger.info

@@ -3,10 +3,10 @@ import torch
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import parse
-from deblur_avatar.motion.clip import ClipMotion
-from deblur_avatar.motion.params import TrajectoryParams
-from deblur_avatar.motion.trajectory import FrameMotion, instants
-from deblur_avatar.training.virtual_poses import choose_counts, farthest_travel
+from deblur_avatar.motion.clip import ClipMotion, ClipParams
+from deblur_avatar.motion.frame import FixedMotion, FrameMotion
+from deblur_avatar.motion.trajectory import instants
+from deblur_avatar.motion.virtual_poses import farthest_travel
 
 
 def along(seen: Observations, exposure: float = 1 / 60) -> ClipMotion:
@@ -15,11 +15,16 @@ def along(seen: Observations, exposure: float = 1 / 60) -> ClipMotion:
 
 
 @pytest.fixture
-def params(tiny_content):
-    content = tiny_content["methods"]["lean"]["trajectory"]
+def sampled(tiny_content):
+    """A trajectory along the poses whose samples have been chosen."""
 
-    def make(**changes) -> TrajectoryParams:
-        return parse(TrajectoryParams, content | changes, "trajectory")
+    def make(seen: Observations, **changes) -> ClipMotion:
+        section = tiny_content["methods"]["lean"]["trajectory"]["motion"]
+        section |= {"knot_frames": 1.0, "smoothness": 0.0}
+        params = parse(ClipParams, section | changes, "motion")
+        motion = ClipMotion.create(seen, params, torch.Generator())
+        motion.choose_samples(seen)
+        return motion
 
     return make
 
@@ -38,7 +43,7 @@ def test_travel_grows_with_the_exposure_and_is_nothing_for_a_still_body(make_obs
     seen = make_observations(frames=9, degrees=12.0)
     short, long = (farthest_travel(along(seen, share / 60), seen)[4] for share in (0.5, 1.0))
     assert float(long) == pytest.approx(2 * float(short), rel=0.05)
-    still = FrameMotion(seen.poses, refined=False)
+    still = FixedMotion(seen.poses)
     assert farthest_travel(still, seen).tolist() == [0.0] * 9
 
 
@@ -50,24 +55,18 @@ def test_a_joint_that_goes_there_and_back_has_travelled(make_observations):
     assert float(farthest_travel(motion, seen)[4]) > 0
 
 
-def test_counts_follow_travel_between_one_and_the_most(make_observations, params):
+def test_samples_follow_travel_between_one_and_the_most(make_observations, sampled):
     seen = make_observations(frames=9, degrees=12.0)
-    motion = along(seen)
-    travel = farthest_travel(motion, seen)
-    step = float(travel[4]) / 2.5
-    choose_counts(motion, seen, params(pixels_per_pose=step, virtual_poses=9))
-    assert int(motion.counts(9)[4]) == 3
-    choose_counts(motion, seen, params(pixels_per_pose=step, virtual_poses=2))
-    assert int(motion.counts(9).max()) == 2
-    choose_counts(motion, seen, params(pixels_per_pose=1e6, virtual_poses=9))
-    assert motion.counts(9).tolist() == [1] * 9
+    step = float(farthest_travel(along(seen), seen)[4]) / 2.5
+    assert int(sampled(seen, pixels_per_pose=step, virtual_poses=9).num_samples(9)[4]) == 3
+    assert int(sampled(seen, pixels_per_pose=step, virtual_poses=2).num_samples(9).max()) == 2
+    assert sampled(seen, pixels_per_pose=1e6, virtual_poses=9).num_samples(9).tolist() == [1] * 9
 
 
-def test_without_a_step_every_exposure_has_all_poses(make_observations, params):
+def test_without_a_step_every_exposure_has_all_poses(make_observations, sampled):
     seen = make_observations(frames=9, degrees=12.0)
-    motion = along(seen)
-    choose_counts(motion, seen, params(pixels_per_pose=0.0, virtual_poses=5))
-    assert motion.counts(9).tolist() == [5] * 9
-    frame = FrameMotion(seen.poses, refined=True)
-    choose_counts(frame, seen, params(pixels_per_pose=1.0, virtual_poses=5))
-    assert frame.counts(9).tolist() == [1] * 9
+    motion = sampled(seen, pixels_per_pose=0.0, virtual_poses=5)
+    assert motion.num_samples(9).tolist() == [5] * 9
+    frame = FrameMotion(seen.poses)
+    frame.choose_samples(seen)
+    assert frame.num_samples(9).tolist() == [1] * 9

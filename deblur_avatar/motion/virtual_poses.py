@@ -1,4 +1,4 @@
-"""How many virtual poses each exposure needs: as many as its fastest joint travels far.
+"""Travel in the picture, which says how many virtual poses an exposure needs.
 
 Conventions. Travel is the length of a joint's path in the training camera's picture while the
 shutter is open, in pixels.
@@ -11,22 +11,9 @@ from torch import Tensor
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import joints_from_rotations
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.motion.clip import ClipMotion
-from deblur_avatar.motion.params import TrajectoryParams
 from deblur_avatar.motion.trajectory import Instants, Trajectory
 
-SAMPLES = 9  # instants along each path
-
-
-def choose_counts(
-    trajectory: Trajectory, observations: Observations, params: TrajectoryParams
-) -> None:
-    """Give each exposure of a clip's trajectory a virtual pose per `pixels_per_pose` of travel."""
-    if not isinstance(trajectory, ClipMotion) or params.pixels_per_pose == 0:
-        return
-    travel = farthest_travel(trajectory, observations)
-    counts = (travel / params.pixels_per_pose).ceil().long().clamp(1, params.virtual_poses)
-    trajectory.take(counts)
+SAMPLES = 9  # instants along each path; not a parameter: straight pieces are as long by then
 
 
 def farthest_travel(trajectory: Trajectory, observations: Observations) -> Float[Tensor, " F"]:
@@ -38,9 +25,8 @@ def farthest_travel(trajectory: Trajectory, observations: Observations) -> Float
 
 
 def _travel(frame: Instants, observations: Observations) -> Float[Tensor, ""]:
-    camera = observations.train_camera
+    camera = observations.camera.to(frame.transl)
     betas = observations.poses.betas.to(frame.transl)
     joints = joints_from_rotations(observations.body, betas, frame.rotations, frame.transl)
-    cameras = observations.cameras
-    pixels, _ = project(joints, cameras.Ks[camera].to(joints), cameras.viewmats[camera].to(joints))
+    pixels, _ = project(joints, camera.K, camera.viewmat)
     return pixels.diff(dim=0).norm(dim=-1).sum(0).amax()

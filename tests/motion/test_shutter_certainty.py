@@ -9,12 +9,9 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.motion.clip import ClipMotion
+from deblur_avatar.motion.shutter_certainty import GUESS_STD, shutter_std
 from deblur_avatar.motion.trajectory import instants
-from deblur_avatar.training.shutter_certainty import (
-    GUESS_STD,
-    settle_shutter,
-    told_by_frames,
-)
+from deblur_avatar.pipeline.trajectory import exposure_renderer
 
 FRAMES, TRUE = 16, 2 / 60
 DRAW = 1 / 255  # what a pixel is off by
@@ -28,8 +25,17 @@ def along(seen: Observations, shutter: float) -> ClipMotion:
     )
     with torch.no_grad():
         motion.log_shutter.fill_(math.log(shutter / TRUE))
-    motion.mark_halfway()
+    motion.remember_halfway()
     return motion
+
+
+def told_by_frames(model: AvatarModel, motion: ClipMotion, seen: Observations) -> float:
+    render = exposure_renderer(model, seen)
+
+    def exposed(frame: int, log_shutter: float) -> torch.Tensor:
+        return render(frame, motion.with_shutter(frame, log_shutter))
+
+    return shutter_std(exposed, motion.log_shutter, seen)
 
 
 @pytest.fixture
@@ -42,8 +48,6 @@ def filmed(painted, make_observations):
             seen = dataclasses.replace(seen, poses=seen.poses.at([0] * FRAMES))
         seen = dataclasses.replace(seen, train=tuple(range(FRAMES)), validation=())
         motion = along(seen, TRUE).to_artifact(model.betas.detach(), seen.timestamps)
-        camera = seen.train_camera
-        width, height = seen.cameras.sizes[camera].tolist()
         frames = []
         for index in range(FRAMES):
             exposure = Poses(
@@ -52,10 +56,7 @@ def filmed(painted, make_observations):
                 body_pose=motion.body_pose[index],
                 transl=motion.transl[index],
             )
-            lens = seen.cameras.Ks[camera], seen.cameras.viewmats[camera]
-            image, _ = render_avatar(
-                model, exposure, *lens, width, height, frame=index, average=True
-            )
+            image, _ = render_avatar(model, exposure, seen.camera, frame=index, average=True)
             frames.append(image[0])
         generator = torch.Generator().manual_seed(0)
         pictures = torch.stack(frames)
@@ -101,7 +102,7 @@ def test_where_nothing_moves_the_guess_stands_and_that_is_said(filmed, caplog):
     motion = along(seen, 1.5 * TRUE)
     assert told_by_frames(model, motion, seen) > GUESS_STD
     with caplog.at_level(logging.INFO, logger="deblur_avatar"):
-        found = settle_shutter(model, motion, seen)
+        found = motion.settle(seen, exposure_renderer(model, seen))
     assert found["shutter_from"] == "guess"
     assert found["shutter_s"] == pytest.approx(TRUE, rel=1e-4)
     assert found["shutter_std_s"] == pytest.approx(TRUE * math.log(2), rel=1e-4)
@@ -113,7 +114,9 @@ def test_a_shutter_that_still_moved_is_less_certain(filmed):
     settled, moving = along(seen, TRUE), along(seen, TRUE)
     assert moving.halfway is not None
     moving.halfway.sub_(0.2)
-    still, drifted = (settle_shutter(model, motion, seen) for motion in (settled, moving))
+    still, drifted = (
+        motion.settle(seen, exposure_renderer(model, seen)) for motion in (settled, moving)
+    )
     assert still["shutter_from"] == drifted["shutter_from"] == "frames"
     assert still["shutter_std_s"] < 0.1 * TRUE
     # With the guess, which is good to a factor of two: (0.2^-2 + 0.69^-2)^-0.5 = 0.19.
