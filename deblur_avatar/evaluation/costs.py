@@ -61,10 +61,10 @@ def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> d
         content = read_json(path)
         try:
             for kept in content["snapshots"]:
-                at[stage, int(kept["iteration"])] = before + float(kept["seconds"])
-            before += float(content["seconds"])
+                at[stage, int(kept["iteration"])] = before + _seconds(kept)
+            before += _seconds(content)
             ends |= {} if content["snapshots"] else {stage: before}
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from error
     points = []
     for point in timeline["points"]:
@@ -82,6 +82,13 @@ def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> d
 def _file(folder: Path, stage: str, run: RunParams) -> Path:
     warmup = f"{run.scene}-{run.observations}-{run.start}"
     return folder / stage / f"{warmup if stage == 'warmup' else f'{run.scene}-{run.method}'}.json"
+
+
+def _seconds(measured: Mapping[str, Any]) -> float:
+    value = measured["seconds"]
+    if not isinstance(value, int | float):
+        raise TypeError(f"seconds is a {type(value).__name__}")
+    return float(value)
 
 
 def _sum(values: list[float | None]) -> float | None:
