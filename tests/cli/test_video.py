@@ -40,14 +40,20 @@ def test_a_video_gets_a_folder_that_can_be_run(root: Path, video: Path):
     clip = load_params(folder / "params.yaml", "scenes.my_clip_2.clip", ClipParams)
     assert isinstance(clip, MonocularParams)
     assert Path(clip.path) == video
-    stages = content(folder / "dvc.yaml")["stages"]
-    assert "body" not in stages  # the root's is used
-    assert "data/body/${item.body}" in stages["clip"]["do"]["deps"]
-    for stage in stages.values():
-        written = [
-            next(iter(o)) if isinstance(o, dict) else o for o in stage.get("do", stage)["outs"]
-        ]
-        assert all(path.startswith("avatars/my_clip_2/") for path in written)
+    assert (folder / "dvc.yaml").read_bytes() == (root / "dvc.yaml").read_bytes()
+    made = content(folder / "params.yaml")
+    assert made["from"]["bodies"] == "../../data/body"  # the root's is used
+    assert made["from"]["footage"] == "data"
+    assert set(made["from"].values()) == {"../..", "../../data/body", "data", "../../params.yaml"}
+    assert made["bodies"] == {}
+
+
+def test_a_section_of_its_own_is_taken_from_the_avatars_file(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", "medium", root) / "params.yaml"
+    path.write_text(path.read_text() + "check: {on_failure: stop}\n")
+    prepare(video, "anna", "lean", "medium", root)
+    assert content(path)["from"]["check"] == "params.yaml"
+    assert content(path)["from"]["starts"] == "../../params.yaml"
 
 
 def test_what_the_user_changed_stays(root: Path, video: Path):
@@ -108,7 +114,7 @@ def test_a_repositorys_damaged_parameters_are_named(root, video, section):
     ("changes", "message"),
     [
         ({"method": "magic"}, "no method 'magic', there is"),
-        ({"schedule": "eternal"}, "no schedule 'eternal', there is quick, brief, full"),
+        ({"schedule": "eternal"}, "no schedule 'eternal', there is medium, short, full"),
         ({"name": "../up"}, "a name is small letters"),
         ({"name": "2nd"}, "a name is small letters"),
     ],
