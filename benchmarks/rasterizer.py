@@ -25,11 +25,8 @@ from torch import Tensor
 
 from benchmarks.capsule_person import Person, capsule_person
 from benchmarks.gsplat_in_torch import rasterize_by_gsplat
-from deblur_avatar.rendering import (
-    cpu,
-    native_build,
-    rasterize,
-)
+from deblur_avatar.rendering import cpu, native_build
+from deblur_avatar.rendering.rasterize import rasterize
 
 SIZES = ((5_000, 128), (20_000, 256), (50_000, 512))  # Gaussians, pixels a side
 BATCHES = (1, 5)

@@ -49,7 +49,7 @@ from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.pipeline.fusion import new_network
 from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import new_trajectory
-from deblur_avatar.rendering import rasterize
+from deblur_avatar.rendering.rasterize import rasterize
 from deblur_avatar.run import stage
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams

@@ -39,9 +39,9 @@ from deblur_avatar.geometry.skinning import (
     skin_points,
 )
 from deblur_avatar.imaging.color import linear_to_srgb
-from deblur_avatar.rendering import rasterize
 from deblur_avatar.rendering.covariance_factors import covariance_factors, covariances
 from deblur_avatar.rendering.posing import pose_gaussians
+from deblur_avatar.rendering.rasterize import rasterize
 
 BOX_PADDING = 0.1  # of the canonical body's extent on each side (3DGS-Avatar)
 

@@ -32,10 +32,10 @@ def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
         ArtifactError: if a measurement is damaged.
     """
     keys = ("seconds", "peak_memory_mb")
-    found = {stage: _read(_file(folder, stage, run), keys) for stage in STAGES}
+    found = {stage: _read(cost_file(folder, stage, run), keys) for stage in STAGES}
     seconds = {stage: content.get("seconds") for stage, content in found.items()}
     peaks = [content["peak_memory_mb"] for content in found.values() if content]
-    rendering = _read(_file(folder, "evaluate", run), ("render_fps",))
+    rendering = _read(cost_file(folder, "evaluate", run), ("render_fps",))
     return {
         "train_s": _sum(list(seconds.values())),
         **{f"{stage}_s": value for stage, value in seconds.items()},
@@ -57,14 +57,14 @@ def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> d
     ends: dict[str, float] = {}  # of stages that kept nothing on the way
     before = 0.0
     for stage in STAGES:
-        path = _file(folder, stage, run)
+        path = cost_file(folder, stage, run)
         content = read_json(path)
         try:
             for kept in content["snapshots"]:
-                at[stage, int(kept["iteration"])] = before + float(kept["seconds"])
-            before += float(content["seconds"])
+                at[stage, int(kept["iteration"])] = before + _seconds(kept)
+            before += _seconds(content)
             ends |= {} if content["snapshots"] else {stage: before}
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from error
     points = []
     for point in timeline["points"]:
@@ -72,16 +72,24 @@ def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> d
         seconds = at.get((stage, iteration), ends.get(stage))
         if seconds is None:
             raise ArtifactError(
-                f"{_file(folder, stage, run)} knows no snapshot of iteration {iteration}; it is of "
-                "another run than the timeline: run `dvc repro`"
+                f"{cost_file(folder, stage, run)} knows no snapshot of iteration {iteration}; it "
+                "is of another run than the timeline: run `dvc repro`"
             )
         points.append({"stage": stage, "iteration": iteration, "seconds": seconds} | point)
     return {**timeline, "points": points}
 
 
-def _file(folder: Path, stage: str, run: RunParams) -> Path:
+def cost_file(folder: Path, stage: str, run: RunParams) -> Path:
+    """What a stage measured with a clock for a run; its warm-up may be shared."""
     warmup = f"{run.scene}-{run.observations}-{run.start}"
     return folder / stage / f"{warmup if stage == 'warmup' else f'{run.scene}-{run.method}'}.json"
+
+
+def _seconds(measured: Mapping[str, Any]) -> float:
+    value = measured["seconds"]
+    if not isinstance(value, int | float):
+        raise TypeError(f"seconds is a {type(value).__name__}")
+    return float(value)
 
 
 def _sum(values: list[float | None]) -> float | None:

@@ -122,7 +122,7 @@ def make_report(
     Args:
         runs: by name, `<scene>-<method>`; those without results are left out.
         animated: names of those that were animated.
-        metrics: `<scene>/<method>.json`, and `score_blur/<scene>.json`, `preprocess/<scene>.json`,
+        metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
             `timeline/<run>.json`, `cost/<stage>/<item>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
@@ -153,7 +153,7 @@ def make_report(
             {
                 "name": scene,
                 "facts": facts_of(
-                    _read(metrics / "score_blur" / f"{scene}.json"),
+                    _read(metrics / "blur" / f"{scene}.json"),
                     _read(metrics / "preprocess" / f"{scene}.json"),
                 ),
                 "strips": [_on_page(strip) for strip in strips[scene]],

@@ -18,7 +18,8 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.model import AvatarModel, FrameState
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.motion.trajectory import Instants, Trajectory
-from deblur_avatar.rendering import Rasterization, rasterize
+from deblur_avatar.rendering.rasterize import rasterize
+from deblur_avatar.rendering.result import Rasterization
 from deblur_avatar.training.densify import Densifier, replace_gaussians
 from deblur_avatar.training.exposure_gains import ExposureGains
 from deblur_avatar.training.fusion_network import FusionNetwork

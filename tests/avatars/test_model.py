@@ -21,8 +21,8 @@ from deblur_avatar.geometry.skinning import (
 )
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.motion.trajectory import instants
-from deblur_avatar.rendering import rasterize
 from deblur_avatar.rendering.covariances import upper_triangles, whole_matrices
+from deblur_avatar.rendering.rasterize import rasterize
 
 SIZE = 24
 

@@ -45,6 +45,15 @@ def test_a_video_gets_a_folder_that_can_be_run(root: Path, video: Path):
     assert (folder / places["root"]).resolve() == root
     assert (folder / places["bodies"]).resolve() == root / "data/body"  # the root's is used
     assert (folder / places["footage"]).resolve() == folder / "data"
+    assert content(folder / "params.yaml")["bodies"] == {}
+
+
+def test_a_section_of_its_own_is_taken_from_the_avatars_file(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", "medium", root) / "params.yaml"
+    path.write_text(path.read_text() + "check: {on_failure: stop}\n")
+    prepare(video, "anna", "lean", "medium", root)
+    assert content(path)["from"]["check"] == "params.yaml"
+    assert content(path)["from"]["starts"] == "../../params.yaml"
 
 
 def test_what_the_user_changed_stays(root: Path, video: Path):

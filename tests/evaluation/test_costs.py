@@ -5,7 +5,7 @@ import pytest
 
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.evaluation.costs import read_costs
+from deblur_avatar.evaluation.costs import read_costs, with_seconds
 
 RUN = RunParams(scene="hall", observations="sharp", start="plain", method="oracle")
 
@@ -27,7 +27,12 @@ def test_seconds_add_up_and_the_largest_stage_sets_the_memory(tmp_path):
         "trajectory_s": 20.0,
         "fusion_s": 5.5,
         "peak_memory_mb": 900.0,
+        "render_fps": None,
     }
+    path = tmp_path / "evaluate/hall-oracle.json"
+    path.parent.mkdir()
+    path.write_text('{"render_fps": 31.5}')
+    assert read_costs(tmp_path, RUN)["render_fps"] == 31.5
 
 
 def test_a_stage_without_measurement_leaves_the_sum_unknown(tmp_path):
@@ -46,3 +51,51 @@ def test_a_damaged_measurement_is_named(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ArtifactError, match=r"fusion/hall-oracle.json"):
         read_costs(tmp_path, RUN)
+
+
+ITEMS = {"warmup": "hall-sharp-plain", "trajectory": "hall-oracle", "fusion": "hall-oracle"}
+SNAPSHOTS = {"warmup": [(2, 1.0), (4, 3.5)], "trajectory": [(6, 5.0)], "fusion": [(7, 0.5)]}
+SECONDS = {"warmup": 4.0, "trajectory": 6.0, "fusion": 2.0}
+
+
+def kept(folder, snapshots):
+    """Write what three stages measured, and a timeline of what they kept."""
+    for stage, item in ITEMS.items():
+        path = folder / stage / f"{item}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        taken = [{"iteration": i, "seconds": s} for i, s in snapshots[stage]]
+        path.write_text(json.dumps({"seconds": SECONDS[stage], "snapshots": taken}))
+    points = [{"stage": s, "iteration": i} for s in ITEMS for i, _ in snapshots[s]]
+    return {"disk_mb": 1.0, "points": points}
+
+
+def test_seconds_go_on_from_stage_to_stage(tmp_path):
+    told = with_seconds(kept(tmp_path, SNAPSHOTS), tmp_path, RUN)
+    assert [point["seconds"] for point in told["points"]] == [1.0, 3.5, 9.0, 10.5]
+    assert told["disk_mb"] == 1.0
+
+
+def test_without_snapshots_there_are_the_ends_of_stages(tmp_path):
+    kept(tmp_path, dict.fromkeys(ITEMS, ()))
+    ends = [{"stage": "trajectory", "iteration": 7}, {"stage": "fusion", "iteration": 8}]
+    told = with_seconds({"points": ends}, tmp_path, RUN)
+    assert [point["seconds"] for point in told["points"]] == [10.0, 12.0]
+
+
+def test_times_of_another_run_than_the_timeline_are_refused(tmp_path):
+    timeline = kept(tmp_path, SNAPSHOTS)
+    timeline["points"][2]["iteration"] = 5
+    message = r"trajectory/hall-oracle\.json knows no snapshot of iteration 5; .* `dvc repro`"
+    with pytest.raises(ArtifactError, match=message):
+        with_seconds(timeline, tmp_path, RUN)
+
+
+@pytest.mark.parametrize("seconds", ["1.0", "nan", [1.0], None, 10**400])
+@pytest.mark.parametrize("where", ["stage", "snapshot"])
+def test_times_that_are_no_numbers_are_named(tmp_path, seconds, where):
+    timeline = kept(tmp_path, SNAPSHOTS)
+    taken = [{"iteration": 6, "seconds": seconds if where == "snapshot" else 1.0}]
+    cost = {"seconds": seconds if where == "stage" else 1.0, "snapshots": taken}
+    (tmp_path / "trajectory/hall-oracle.json").write_text(json.dumps(cost))
+    with pytest.raises(ArtifactError, match=r"trajectory/hall-oracle\.json"):
+        with_seconds(timeline, tmp_path, RUN)

@@ -27,14 +27,14 @@ from deblur_avatar.config.reading import read_yaml
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.evaluation.costs import (
     STAGES,
-    cost_files,
+    cost_file,
     read_costs,
+    with_seconds,
 )
 from deblur_avatar.imaging import lpips
 from deblur_avatar.imaging.picture_files import read_mask, read_picture, write_light
 from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.pipeline.report import read_results
-from deblur_avatar.pipeline.timeline import moments_of
 from deblur_avatar.reporting.picture_strips import strips_of_scene
 from deblur_avatar.sources.calibration import read_calibration
 from deblur_avatar.sources.focal_length import focal_of_files
@@ -123,17 +123,19 @@ def _write_metrics(folder: Path) -> None:
 
 def _write_costs(folder: Path) -> None:
     cost = {"seconds": 1.5, "peak_memory_mb": 300.0}
-    for path in cost_files(folder, _RUN).values():
-        run.write_json(path, cost)
+    for stage in STAGES:
+        run.write_json(cost_file(folder, stage, _RUN), cost)
 
 
 def _write_moments(folder: Path) -> None:
-    for path in cost_files(folder, _RUN).values():
-        run.write_json(path, {"seconds": 1.5, "snapshots": [{"iteration": 3, "seconds": 0.5}]})
+    cost = {"seconds": 1.5, "snapshots": [{"iteration": 3, "seconds": 0.5}]}
+    for stage in STAGES:
+        run.write_json(cost_file(folder, stage, _RUN), cost)
 
 
 def _moments(folder: Path) -> object:
-    return moments_of({stage: folder / stage for stage in STAGES}, folder, _RUN)
+    points = [{"stage": stage, "iteration": 3} for stage in STAGES]
+    return with_seconds({"points": points}, folder, _RUN)
 
 
 def _write_snapshots(folder: Path) -> None:
@@ -524,7 +526,7 @@ READERS: tuple[Reader, ...] = (
     Reader("parameters", _write_parameters, lambda f: check_parameters(f / "params.yaml")),
     Reader("own avatar", _write_avatar, _avatar),
     Reader("numbers of a stage", _write_numbers, lambda f: run.read_json(f / "fit.json")),
-    Reader("metrics", _write_metrics, read_results),
+    Reader("metrics", _write_metrics, lambda f: read_results(f, {"s-m": _RUN})),
     Reader("costs", _write_costs, lambda f: read_costs(f, _RUN)),
     Reader("moments", _write_moments, _moments),
     Reader("kept snapshots", _write_snapshots, lambda f: run_folder.taken_snapshots(f, (3, 6, 9))),

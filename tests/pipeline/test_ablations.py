@@ -4,13 +4,15 @@ import pytest
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.pipeline.ablations import report_ablations
+from tests.measured_costs import run_of, write_costs
 
 
 def write(folder, seed, method, psnr):
     path = folder / f"seed_{seed}" / "metrics" / "studio" / f"{method}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {"scene": "studio", "method": method, "image": {"psnr": psnr, "lpips_vgg": None}}
-    path.write_text(json.dumps(content | {"cost": {"train_s": 100.0 + seed}}))
+    path.write_text(json.dumps(content))
+    write_costs(folder / f"seed_{seed}" / "metrics", run_of("studio", method), 100.0 + seed)
 
 
 def watch(folder, seed, method, curve):
@@ -18,12 +20,23 @@ def watch(folder, seed, method, curve):
     path = folder / f"seed_{seed}" / "metrics" / "timeline" / f"studio-{method}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     points = [
-        {"stage": "fusion", "iteration": 10 * place, "seconds": seconds,
+        {"stage": "fusion", "iteration": 10 * place,
          "image": {"psnr": psnr}, "validation_psnr": psnr + 5}
-        for place, (seconds, psnr) in enumerate(curve, 1)
+        for place, (_, psnr) in enumerate(curve, 1)
     ]  # fmt: skip
     content = {"scene": "studio", "method": method, "disk_mb": 1.0 + seed, "points": points}
     path.write_text(json.dumps(content))
+    times = {10 * place: seconds for place, (seconds, _) in enumerate(curve, 1)}
+    metrics = folder / f"seed_{seed}" / "metrics"
+    write_costs(metrics, run_of("studio", method), 100.0 + seed, times)
+
+
+def gathered(folder):
+    """The report over all seeds and runs that have results."""
+    folders = sorted(folder.glob("seed_*"))
+    names = {path.stem for path in folder.glob("seed_*/metrics/studio/*.json")}
+    runs = {f"studio-{name}": run_of("studio", name) for name in names}
+    return report_ablations(folders, runs, "studio", "medium")
 
 
 @pytest.fixture
@@ -45,7 +58,7 @@ def results(tmp_path):
 
 
 def test_numbers_are_means_and_spreads_over_seeds(results):
-    report = report_ablations(results, "studio", "medium")
+    report = gathered(results)
     paper = report.summary["methods"]["paper"]
     assert paper["image_psnr"] == {"mean": 28.0, "spread": pytest.approx(2**0.5)}
     assert paper["seeds"] == 2
@@ -53,13 +66,13 @@ def test_numbers_are_means_and_spreads_over_seeds(results):
 
 
 def test_recovery_is_taken_within_each_seed(results):
-    report = report_ablations(results, "studio", "medium")
+    report = gathered(results)
     share = report.summary["methods"]["paper"]["recovery_psnr"]
     assert share["mean"] == pytest.approx((0.25 + 0.5) / 2)
 
 
 def test_the_papers_numbers_stand_beside_marked_as_of_other_data(results):
-    report = report_ablations(results, "studio", "medium")
+    report = gathered(results)
     assert "30.24" in report.tables
     assert "another data set" in report.tables
     assert "another data set" in report.page
@@ -67,7 +80,7 @@ def test_the_papers_numbers_stand_beside_marked_as_of_other_data(results):
 
 
 def test_what_nobody_ran_has_no_row_and_what_nobody_measured_no_number(results):
-    report = report_ablations(results, "studio", "medium")
+    report = gathered(results)
     assert "cubic" not in report.tables
     assert "not measured" in report.tables
 
@@ -75,18 +88,18 @@ def test_what_nobody_ran_has_no_row_and_what_nobody_measured_no_number(results):
 def test_one_seed_has_no_spread(tmp_path):
     write(tmp_path, 0, "agnostic", 26.0)
     write(tmp_path, 0, "paper", 28.0)
-    report = report_ablations(tmp_path, "studio", "medium")
+    report = gathered(tmp_path)
     assert report.summary["methods"]["paper"]["image_psnr"] == {"mean": 28.0, "spread": None}
     assert "| full | 28.00 |" in report.tables
 
 
 def test_no_results_at_all_are_refused(tmp_path):
     with pytest.raises(ArtifactError, match="no results of studio"):
-        report_ablations(tmp_path, "studio", "medium")
+        gathered(tmp_path)
 
 
 def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
-    report_ablations(results, "studio", "medium").save(tmp_path / "out")
+    gathered(results).save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "index.html", "tables.md", "summary.json", "speed_accuracy.json", "speed_accuracy.png",
         "speed_accuracy.svg", "speed_accuracy.vl.json", "quality_over_time.json",
@@ -95,7 +108,7 @@ def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
 
 
 def test_the_chart_has_means_between_their_spreads_and_the_front_of_the_means(results):
-    charts = report_ablations(results, "studio", "medium").charts
+    charts = gathered(results).charts
     rows = {row["method"]: row for row in json.loads(charts["speed_accuracy.json"])}
     assert rows["paper"]["psnr_db"] == 28.0
     assert rows["paper"]["psnr_high_db"] == pytest.approx(28.0 + 2**0.5, abs=1e-3)
@@ -106,7 +119,7 @@ def test_the_chart_has_means_between_their_spreads_and_the_front_of_the_means(re
 
 def test_a_disk_that_refuses_leaves_every_file_whole(results, tmp_path, monkeypatch):
     folder = tmp_path / "out"
-    report = report_ablations(results, "studio", "medium")
+    report = gathered(results)
     report.save(folder)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert not any(name.endswith(".part") for name in before)
@@ -123,7 +136,7 @@ def test_a_disk_that_refuses_leaves_every_file_whole(results, tmp_path, monkeypa
 
 
 def test_curves_are_means_over_seeds_at_the_same_iteration(watched):
-    charts = report_ablations(watched, "studio", "medium").charts
+    charts = gathered(watched).charts
     rows = [row for row in json.loads(charts["quality_over_time.json"])
             if (row["method"], row["measure"]) == ("agnostic", "novel views")]  # fmt: skip
     assert [(row["iteration"], row["training_s"], row["psnr_db"]) for row in rows] == [
@@ -133,7 +146,7 @@ def test_curves_are_means_over_seeds_at_the_same_iteration(watched):
 
 
 def test_when_a_method_is_as_good_as_paper_is_read_off_the_mean_curves(watched):
-    report = report_ablations(watched, "studio", "medium")
+    report = gathered(watched)
     (line,) = (text for text in report.tables.splitlines() if "without motion" in text)
     reached = report.summary["methods"]["agnostic"]["speed_time_to_paper_s"]["mean"]
     assert reached == pytest.approx(4.5 ** (1 / 3))  # a third of the way from 25.5 to 28.5
@@ -143,15 +156,13 @@ def test_when_a_method_is_as_good_as_paper_is_read_off_the_mean_curves(watched):
 
 def test_a_method_that_never_is_as_good_as_paper_says_so(watched):
     (line,) = (
-        text
-        for text in report_ablations(watched, "studio", "medium").tables.splitlines()
-        if text.startswith("| oracle")
+        text for text in gathered(watched).tables.splitlines() if text.startswith("| oracle")
     )
     assert "| never |" in line
 
 
 def test_without_avatars_kept_on_the_way_nothing_is_said_to_be_never(results):
-    report = report_ablations(results, "studio", "medium")
+    report = gathered(results)
     assert "never" not in report.tables
     assert "quality_over_time.svg" not in report.charts
     assert "Quality over training time" not in report.page
@@ -160,4 +171,4 @@ def test_without_avatars_kept_on_the_way_nothing_is_said_to_be_never(results):
 def test_seeds_that_were_looked_at_at_other_iterations_are_refused(watched):
     watch(watched, 1, "agnostic", [(1.0, 25.0)])
     with pytest.raises(ArtifactError, match="agnostic was looked at after other iterations"):
-        report_ablations(watched, "studio", "medium")
+        gathered(watched)

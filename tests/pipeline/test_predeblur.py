@@ -6,7 +6,8 @@ import torch
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import write_picture
-from deblur_avatar.pipeline.predeblur import PredeblurParams, measure_predeblur, predeblur
+from deblur_avatar.pipeline.predeblur import PredeblurParams, predeblur
+from deblur_avatar.pipeline.score_predeblur import score_predeblur
 
 PARAMS = PredeblurParams(
     given="", lengths=(3.0, 5.0), angles=4, balance=0.002, surroundings=3.0, gain=0.05
@@ -41,7 +42,7 @@ def blurred(sharp):
 def test_frames_and_mattes_come_closer_to_the_sharp_ones(sharp, blurred, tmp_path):
     made, used = predeblur(blurred, PARAMS)
     sharp.save(tmp_path / "sharp")
-    scores = measure_predeblur(made, blurred, tmp_path / "sharp")
+    scores = score_predeblur(made, blurred, tmp_path / "sharp")
     assert used["method"] == "matte"
     assert 0 < used["streak_px"] <= 5
     for key in ("psnr", "psnr_person", "psnr_matte"):
@@ -89,4 +90,4 @@ def test_given_frames_must_be_those_of_the_observations(blurred, tmp_path, count
 
 
 def test_without_sharp_frames_nothing_is_measured(blurred, tmp_path):
-    assert set(measure_predeblur(blurred, blurred, tmp_path / "sharp").values()) == {None}
+    assert set(score_predeblur(blurred, blurred, tmp_path / "sharp").values()) == {None}

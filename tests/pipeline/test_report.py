@@ -1,5 +1,6 @@
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 
 import numpy as np
@@ -16,7 +17,9 @@ from deblur_avatar.reporting.picture_strips import (
     strips_of_scene,
 )
 from deblur_avatar.reporting.report_tables import facts_of, tables_of
+from tests.measured_costs import run_of, write_costs
 
+METHODS = ("ceiling", "oracle", "agnostic", "paper", "lean", "magic")
 PSNR = {"ceiling": 30.0, "oracle": 28.0, "agnostic": 24.0, "paper": 25.0}
 
 
@@ -26,7 +29,7 @@ def result(scene, method, psnr, **changes):
         "image": {"psnr": psnr, "ssim": 0.9, "flip": 0.1, "lpips_vgg": None, "psnr_seen": psnr - 2},
         "novel_pose": {"psnr": psnr - 1}, "cameras": {"left": {"psnr": psnr, "psnr_foreground": 9}},
         "motion": {"joint_error_mm": 10.0}, "initial": {"joint_error_mm": 14.0},
-        "cost": {"train_s": 100.0, "render_fps": 50.0}, "model": {"gaussians": 8000},
+        "model": {"gaussians": 8000},
         "counts": {"novel_views": 8}, "run": {"device": "cpu", "schedule": "medium"},
         "recovery": {"psnr": None}, "gap_to_ceiling_db": None,
     } | changes  # fmt: skip
@@ -43,10 +46,7 @@ def project(tmp_path):
     """Metrics, pictures and an animation of two scenes, a few pixels each."""
     for scene, methods in (("studio", list(PSNR)), ("yard", ["oracle", "agnostic", "paper"])):
         for method in methods:
-            write_json(
-                tmp_path / "metrics" / scene / f"{method}.json",
-                result(scene, method, PSNR[method]),
-            )
+            write_result(tmp_path / "metrics", scene, method, PSNR[method])
             folder = tmp_path / "evaluate" / f"{scene}-{method}"
             views = []
             for frame in (2, 7):
@@ -56,14 +56,11 @@ def project(tmp_path):
                 write_picture(folder / names["blurred"], person(60))
                 views.append({"camera": "left", "frame": frame, "novel_pose": frame == 7, **names})
             write_json(folder / "views.json", views)
-    points = [
-        {"stage": "fusion", "iteration": i, "seconds": 5.0 * i, "image": {"psnr": 20.0 + i}}
-        for i in (1, 5)
-    ]
+    points = [{"stage": "fusion", "iteration": i, "image": {"psnr": 20.0 + i}} for i in (1, 5)]
     timeline = {"scene": "studio", "method": "paper", "disk_mb": 1.5, "points": points}
     write_json(tmp_path / "metrics/timeline/studio-paper.json", timeline)
     write_json(tmp_path / "metrics/blur/studio.json", {"scene": "studio", "window": 33})
-    write_json(tmp_path / "metrics/warmup/studio-blurred-paper.json", {"seconds": 20})
+    write_costs(tmp_path / "metrics", run_of("studio", "paper"), 100.0, {1: 5.0, 5: 25.0})
     frames = [person(value) for value in (50, 100, 150)]
     write_picture(tmp_path / "animate/studio-paper/contact_sheet.png", frames[0])
     write_video(tmp_path / "animate/studio-paper/video.mp4", frames, 3.0)
@@ -75,8 +72,18 @@ def write_json(path, content):
     path.write_text(json.dumps(content))
 
 
-def made(project):
-    return make_report(project / "metrics", project / "evaluate", project / "animate")
+def write_result(metrics, scene, method, psnr):
+    write_json(metrics / scene / f"{method}.json", result(scene, method, psnr))
+    write_costs(metrics, run_of(scene, method), 100.0)
+
+
+def made(project, metrics="metrics"):
+    """The report over all runs that have results."""
+    paths = [path for path in (project / metrics).glob("*/*.json") if path.stem in METHODS]
+    names = sorted((path.parent.name, path.stem) for path in paths)
+    runs = {f"{scene}-{method}": run_of(scene, method) for scene, method in names}
+    folders = project / "evaluate", project / "animate"
+    return make_report(runs, list(runs), project / metrics, *folders)
 
 
 class Page(HTMLParser):
@@ -210,9 +217,8 @@ def test_scenes_that_saw_the_same_methods_are_averaged_with_their_spread(project
     assert "Mean over" not in made(project).tables  # two scenes, and not the same methods
     for scene, gain in (("a", 0.0), ("b", 1.0), ("c", 2.0)):
         for method in ("oracle", "agnostic"):
-            path = project / "repeated" / scene / f"{method}.json"
-            write_json(path, result(scene, method, PSNR[method] + gain))
-    report = make_report(project / "repeated", project / "evaluate", project / "animate")
+            write_result(project / "repeated", scene, method, PSNR[method] + gain)
+    report = made(project, "repeated")
     title = "Mean over 3 scenes \u00b1 standard deviation"
     assert report.tables.startswith(f"**{title}**")
     assert "| `agnostic` | 25.00 \u00b1 1.00 |" in report.tables
@@ -222,7 +228,7 @@ def test_scenes_that_saw_the_same_methods_are_averaged_with_their_spread(project
 
 
 def test_nothing_at_all_is_still_a_page(tmp_path):
-    report = make_report(tmp_path / "metrics", tmp_path / "evaluate", tmp_path / "animate")
+    report = made(tmp_path)
     assert "No results yet" in report.page
     assert Page(report.page).open == []
     assert report.strip is None
@@ -418,9 +424,42 @@ def test_a_scene_without_truth_says_how_well_its_blurred_frames_are_explained(pr
     }
 
 
-@pytest.mark.parametrize("points", [None, 3, [1], [{"stage": "fusion", "seconds": 1.0}]])
+@pytest.mark.parametrize("points", [None, 3, [1], [{"stage": "fusion"}]])
 def test_a_damaged_timeline_is_named_with_what_to_do(project, points):
     path = project / "metrics/timeline/studio-paper.json"
     write_json(path, {"scene": "studio", "method": "paper", "points": points})
     with pytest.raises(ArtifactError, match=r"studio-paper\.json is damaged.*dvc repro"):
         made(project)
+
+
+def test_files_of_other_runs_are_ignored(project):
+    report = made(project)
+    write_result(project / "metrics", "studio", "gone", 40.0)
+    write_result(project / "metrics", "attic", "paper", 40.0)
+    old = {"scene": "yard", "method": "paper", "disk_mb": 9.0, "points": []}
+    write_json(project / "metrics/timeline/attic-paper.json", old)
+    shutil.copytree(project / "animate/studio-paper", project / "animate/studio-gone")
+    runs = {
+        f"{scene}-{method}": run_of(scene, method)
+        for scene, methods in report.summary["scenes"].items()
+        for method in methods
+    }
+    folders = project / "evaluate", project / "animate"
+    again = make_report(runs, ["studio-paper"], project / "metrics", *folders)
+    assert again.summary == report.summary
+    assert again.charts == report.charts
+    assert again.page == report.page
+
+
+def test_results_of_another_run_in_a_run_s_place_are_refused(project):
+    write_json(project / "metrics/yard/paper.json", result("yard", "lean", 30.0))
+    with pytest.raises(ArtifactError, match=r"yard/paper\.json is not of paper on yard"):
+        made(project)
+
+
+def test_costs_come_from_their_own_files(project):
+    cost = made(project).summary["scenes"]["studio"]["paper"]["cost"]
+    assert cost == {
+        "train_s": 100.0, "warmup_s": 0.0, "trajectory_s": 0.0, "fusion_s": 100.0,
+        "peak_memory_mb": 300.0, "render_fps": 50.0,
+    }  # fmt: skip

@@ -58,9 +58,7 @@ def folder(tmp_path_factory, tiny_parameters):
     shared = {"scene": "zju", "params_file": params_file}
     script_of("body").main(name="smpl", out=folder / "body", params_file=params_file)
     script_of("clip").main(body=folder / "body", out=folder / "clip", **shared)
-    script_of("blur").main(
-        clip=folder / "clip", out=folder / "blur", metrics=folder / "blur.json", **shared
-    )
+    script_of("blur").main(clip=folder / "clip/clip", out=folder / "blur", **shared)
     script_of("preprocess").main(
         blur=folder / "blur", body=folder / "body", out=folder / "seen",
         metrics=folder / "seen.json", **shared,
@@ -99,25 +97,21 @@ def test_the_body_fills_what_fitting_sees(folder):
 def test_the_whole_pipeline_runs_to_metrics(folder):
     params_file, seen = folder / "params.yaml", folder / "seen/blurred"
     steps = {"start": "lean", "observations": seen, "params_file": params_file}
-    costs = folder / "metrics"
-    script_of("warmup").main(
-        out=folder / "warmup", metrics=costs / "warmup/zju-blurred-lean.json", **steps
-    )
+    metrics, cost = folder / "metrics.json", folder / "cost.json"
+    steps |= {"metrics": metrics, "cost": cost}
+    script_of("warmup").main(out=folder / "warmup", **steps)
     script_of("trajectory").main(
-        method="lean", warmup=folder / "warmup", out=folder / "trajectory",
-        metrics=costs / "trajectory/zju-lean.json", **steps,
-    )  # fmt: skip
+        method="lean", warmup=folder / "warmup", out=folder / "trajectory", **steps
+    )
     script_of("fusion").main(
-        method="lean", trajectory=folder / "trajectory", out=folder / "fusion",
-        metrics=costs / "fusion/zju-lean.json", **steps,
-    )  # fmt: skip
+        method="lean", trajectory=folder / "trajectory", out=folder / "fusion", **steps
+    )
     script_of("evaluate").main(
         scene="zju", method="lean", observations=seen,
-        reference=folder / "clip/reference", fusion=folder / "fusion", costs=costs,
-        out=folder / "evaluate", metrics=costs / "zju/lean.json", params_file=params_file,
+        reference=folder / "clip/reference", fusion=folder / "fusion",
+        out=folder / "evaluate", metrics=metrics, cost=cost, params_file=params_file,
     )  # fmt: skip
     assert len(Avatar.load(folder / "fusion/avatar").means)
     reference = Reference.load(folder / "clip/reference")
     assert reference.frame_indices.tolist() == [0, 3, 6] * 2
-    metrics = json.loads((costs / "zju/lean.json").read_text())
-    assert math.isfinite(metrics["image"]["psnr"])
+    assert math.isfinite(json.loads(metrics.read_text())["image"]["psnr"])

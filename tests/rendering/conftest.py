@@ -8,11 +8,9 @@ import torch
 from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.rendering import (
-    Rasterization,
-    covariances,
-    rasterize,
-)
+from deblur_avatar.rendering.covariances import covariances
+from deblur_avatar.rendering.rasterize import rasterize
+from deblur_avatar.rendering.result import Rasterization
 
 
 @dataclass(frozen=True, kw_only=True)

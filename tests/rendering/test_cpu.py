@@ -5,12 +5,9 @@ import os
 import pytest
 import torch
 
-from deblur_avatar.rendering import (
-    cpu,
-    native_build,
-    rasterize,
-)
+from deblur_avatar.rendering import cpu, native_build
 from deblur_avatar.rendering.covariances import upper_triangles
+from deblur_avatar.rendering.rasterize import rasterize
 from tests.process_state import by_threads
 
 F32, F64 = torch.float32, torch.float64

@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from deblur_avatar.rendering import cuda, rasterize
+from deblur_avatar.rendering import cuda
 from deblur_avatar.rendering.covariances import upper_triangles
+from deblur_avatar.rendering.rasterize import rasterize
 
 F64 = torch.float64
 

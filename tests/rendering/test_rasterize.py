@@ -5,13 +5,10 @@ import warnings
 import pytest
 import torch
 
-from deblur_avatar import rendering as rasterizers
-from deblur_avatar.rendering import (
-    cpu,
-    rasterize,
-    reference,
-)
+from deblur_avatar.rendering import cpu, reference
+from deblur_avatar.rendering import rasterize as rasterizers
 from deblur_avatar.rendering.native_build import BuildError
+from deblur_avatar.rendering.rasterize import rasterize
 
 
 @pytest.fixture

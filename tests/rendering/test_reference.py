@@ -3,13 +3,14 @@ import math
 import pytest
 import torch
 
-from deblur_avatar.rendering import rasterize, reference
+from deblur_avatar.rendering import reference
 from deblur_avatar.rendering.conventions import (
     EPS2D,
     MAX_ALPHA,
     MIN_ALPHA,
 )
 from deblur_avatar.rendering.covariances import upper_triangles
+from deblur_avatar.rendering.rasterize import rasterize
 
 F64 = {"dtype": torch.float64}
 

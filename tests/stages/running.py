@@ -43,6 +43,7 @@ def fitting_options(stage: str, folder: Path, read: Path) -> dict[str, Any]:
         "observations": read / "observations",
         "out": folder / stage,
         "metrics": folder / f"{stage}.json",
+        "cost": folder / f"{stage}_cost.json",
         "params_file": folder / "params.yaml",
     }
     if stage in BEFORE:

@@ -52,19 +52,27 @@ def run_stage(folder: Path, params: str) -> "subprocess.CompletedProcess[str]":
         "scene": "tiny",
         "clip": folder / "clip",
         "out": folder / "blur",
-        "metrics": folder / "metrics.json",
         "params_file": folder / "params.yaml",
     }
     return run_script("blur", **options)
 
 
 def test_the_stage_blurs_a_few_pixels(tmp_path):
-    tiny_clip().save(tmp_path / "clip" / "clip")
+    tiny_clip().save(tmp_path / "clip")
     done = run_stage(tmp_path, PARAMS)
     assert done.returncode == 0, done.stderr
     blurry = BlurryClip.load(tmp_path / "blur")
     assert blurry.frame_indices == (1, 2, 3)
     assert blurry.held_out_from == 3
+    options = {
+        "scene": "tiny",
+        "clip": tmp_path / "clip",
+        "blurred": tmp_path / "blur",
+        "metrics": tmp_path / "metrics.json",
+        "params_file": tmp_path / "params.yaml",
+    }
+    done = run_script("score_blur", **options)
+    assert done.returncode == 0, done.stderr
     measured = json.loads((tmp_path / "metrics.json").read_text())
     assert measured["scene"] == "tiny"
     assert measured["frames"]["kept"] == 3
@@ -72,7 +80,7 @@ def test_the_stage_blurs_a_few_pixels(tmp_path):
 
 
 def test_an_even_window_ends_with_one_line_and_no_output(tmp_path):
-    tiny_clip().save(tmp_path / "clip" / "clip")
+    tiny_clip().save(tmp_path / "clip")
     done = run_stage(tmp_path, PARAMS.replace("window: 3", "window: 4"))
     assert done.returncode == 1
     assert "ConfigError: blur.window: a window centred on a frame is odd, got 4" in done.stderr

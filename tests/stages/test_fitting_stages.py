@@ -59,9 +59,11 @@ def test_a_stage_runs_and_says_so_in_two_lines_and_its_losses(chain, stage):
     assert first.startswith(f"{stage} {stage}: start, device ")
     assert last.startswith(f"{stage} {stage}: done in ")
     assert all(f"{stage} {stage} " in line and "l1 0." in line for line in losses)
+    cost = json.loads((folder / f"{stage}_cost.json").read_text())
+    assert cost["seconds"] > 0
+    assert cost["peak_memory_mb"] > 50
     measured = json.loads((folder / f"{stage}.json").read_text())
-    assert measured["seconds"] > 0
-    assert measured["peak_memory_mb"] > 50
+    assert not cost.keys() & measured.keys()
 
 
 def test_each_stage_writes_what_the_next_one_reads(chain, tiny):

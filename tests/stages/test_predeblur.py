@@ -11,7 +11,7 @@ predeblur:
 """
 
 
-def test_the_script_writes_observations_and_says_how_far_they_are_from_the_sharp_ones(
+def test_the_scripts_write_observations_and_how_far_they_are_from_the_sharp_ones(
     observations: Observations, tmp_path: Path
 ):
     observations.save(tmp_path / "blurred")
@@ -19,7 +19,6 @@ def test_the_script_writes_observations_and_says_how_far_they_are_from_the_sharp
     options = {
         "scene": "tiny",
         "observations": tmp_path / "blurred",
-        "sharp": tmp_path / "blurred",
         "out": tmp_path / "deblurred",
         "metrics": tmp_path / "metrics.json",
         "params_file": tmp_path / "params.yaml",
@@ -27,6 +26,10 @@ def test_the_script_writes_observations_and_says_how_far_they_are_from_the_sharp
     done = run_script("predeblur", **options)
     assert done.returncode == 0, done.stderr
     assert Observations.load(tmp_path / "deblurred").frames.shape == observations.frames.shape
+    assert json.loads((tmp_path / "metrics.json").read_text())["method"] == "matte"
+    options = {name: options[name] for name in ("scene", "observations", "metrics")}
+    options |= {"deblurred": tmp_path / "deblurred", "sharp": tmp_path / "blurred"}
+    done = run_script("score_predeblur", **options)
+    assert done.returncode == 0, done.stderr
     metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert metrics["method"] == "matte"
     assert {f"psnr_{which}" for which in ("blurred", "deblurred")} < set(metrics)

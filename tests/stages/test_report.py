@@ -9,7 +9,11 @@ def test_it_writes_the_report_and_prints_the_table_and_where_it_lies(tmp_path):
     for method, psnr in (("oracle", 28.0), ("agnostic", 24.0), ("paper", 25.0)):
         content = {"scene": "studio", "method": method, "image": {"psnr": psnr}}
         (metrics / f"{method}.json").write_text(json.dumps(content))
-    (tmp_path / "params.yaml").write_text("seed: 0\n")
+    names = ("oracle", "agnostic", "paper")
+    like = "scene: studio, observations: sharp, start: plain"
+    runs = [f"  studio-{name}: {{{like}, method: {name}}}\n" for name in names]
+    text = f"seed: 0\nanimations: {{}}\nruns:\n{''.join(runs)}"
+    (tmp_path / "params.yaml").write_text(text)
     files = {
         "metrics": "metrics", "pictures": "evaluate", "animations": "animate", "out": "reports",
         "params_file": "params.yaml",

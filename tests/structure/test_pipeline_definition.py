@@ -6,38 +6,36 @@ import subprocess
 import sys
 
 import pytest
-from ruamel.yaml import YAML
-from tests.structure.import_closure import (
+
+from deblur_avatar.pipeline.code import FINGERPRINTS, fingerprints, scripts
+from tests.structure.pipeline_files import (
+    PARAMS,
+    PIPELINE,
     ROOT,
-    code_dependencies,
-    expanded,
-    import_closure,
-    is_code,
-    own_pipelines,
+    experiments,
+    gathering,
+    options_of,
+    params_of,
+    paths_in,
+    read,
     script_of,
     stages,
 )
 
 STAGES = stages()
+PIPELINES = [ROOT / PIPELINE, *(folder / PIPELINE for folder in experiments()), *gathering()]
 SCRIPTS = sorted((ROOT / "stages").glob("*.py"))
-PARAMS = YAML(typ="safe", pure=True).load(ROOT / "params.yaml")
+PARAMETERS = read(ROOT / PARAMS)
+CODE = re.compile(r"\.(py|cpp|h|jinja)$|(^|/)(deblur_avatar|stages|benchmarks)(/|$)")
+MAX_BYTES, MAX_LINES = 12_000, 60_000  # of the root's dvc.yaml, of all locks
 VAGUE = {"util", "utils", "helper", "helpers", "common", "misc", "base", "manager", "managers"}
 every_stage = pytest.mark.parametrize("name", STAGES)
+every_pipeline = pytest.mark.parametrize("path", PIPELINES, ids=lambda p: str(p.relative_to(ROOT)))
 
 
 def main_of(script):
     tree = ast.parse(script.read_text())
     return next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == "main")
-
-
-def options_of(stage):
-    """What the command gives to each option of the script."""
-    words = str(stage["cmd"]).split()
-    return {
-        word.removeprefix("--").replace("-", "_"): value
-        for word, value in zip(words, words[1:], strict=False)
-        if word.startswith("--")
-    }
 
 
 def loaded_sections(stage):
@@ -73,24 +71,31 @@ def _key(node):
     return None
 
 
-def paths_in(stage, kind):
-    """Dependencies or outputs as plain strings."""
-    return [
-        next(iter(item)) if isinstance(item, dict) else str(item) for item in stage.get(kind, [])
-    ]
+@every_pipeline
+def test_stages_depend_on_their_fingerprint_and_list_no_code(path):
+    known = fingerprints(ROOT)
+    for name, stage in stages(path).items():
+        assert not [dep for dep in paths_in(stage, "deps") if CODE.search(dep)], name
+        if name != "code":
+            assert params_of(stage)[FINGERPRINTS] == [script_of(stage).stem] == [name]
+            assert name in known
 
 
-@every_stage
-def test_a_stage_depends_on_exactly_the_code_it_runs(name):
-    script = script_of(STAGES[name])
-    declared = [dep for dep in paths_in(STAGES[name], "deps") if is_code(dep)]
-    assert declared == code_dependencies(script), "run `make deps`"
-    assert expanded(declared) == import_closure(script)
+def test_the_pipeline_is_short_enough_to_read():
+    assert len((ROOT / PIPELINE).read_bytes()) < MAX_BYTES
+
+
+def test_the_locks_are_short():
+    locks = [path.with_name("dvc.lock") for path in PIPELINES]
+    lines = {str(lock): len(lock.read_text().splitlines()) for lock in locks if lock.is_file()}
+    assert sum(lines.values()) < MAX_LINES, lines
 
 
 @every_stage
 def test_a_stage_declares_exactly_the_parameters_it_loads(name):
-    assert set(map(str, STAGES[name].get("params", []))) == loaded_sections(STAGES[name])
+    said = params_of(STAGES[name])
+    declared = [key for file, keys in said.items() if file != FINGERPRINTS for key in keys]
+    assert sorted(declared) == sorted(loaded_sections(STAGES[name]))
 
 
 @every_stage
@@ -102,7 +107,7 @@ def test_a_command_gives_exactly_the_arguments_its_script_takes(name):
 @every_stage
 def test_every_path_of_a_command_is_declared(name):
     stage = STAGES[name]
-    declared = paths_in(stage, "deps") + paths_in(stage, "outs") + ["params.yaml"]
+    declared = paths_in(stage, "deps") + paths_in(stage, "outs") + [PARAMS]
     for option, value in options_of(stage).items():
         if "/" in value:
             covered = [
@@ -119,38 +124,43 @@ def test_only_evaluation_and_the_timeline_depend_on_the_reference():
 
 def test_fitting_depends_on_nothing_of_the_clip():
     for name in ("warmup", "trajectory", "fusion", "animate"):
-        read = [dep for dep in paths_in(STAGES[name], "deps") if dep.startswith("data/")]
-        assert read
-        assert not [dep for dep in read if dep.startswith(("data/clip", "data/blur/"))]
+        deps = paths_in(STAGES[name], "deps")
+        assert deps
+        assert not [dep for dep in deps if re.search("/(clip|blur)/", dep)]
+
+
+def test_only_reports_depend_on_what_a_clock_says():
+    for path in PIPELINES:
+        for name, stage in stages(path).items():
+            written = {out for out in paths_in(stage, "outs") if out.startswith("metrics/cost/")}
+            assert not written or name in ("warmup", "trajectory", "fusion", "evaluate")
+            read = [d for d in paths_in(stage, "deps") if re.search(r"metrics(/cost.*)?$", d)]
+            assert not read or name in ("report", "ablations")
 
 
 def test_only_the_ceiling_is_told_the_exact_poses():
-    for name, run in PARAMS["runs"].items():
+    for name, run in PARAMETERS["runs"].items():
         assert (run["observations"] == "exact") == (run["method"] == "ceiling"), name
 
 
 def test_only_the_oracle_and_the_ceiling_see_sharp_frames():
-    for name, run in PARAMS["runs"].items():
+    for name, run in PARAMETERS["runs"].items():
         sharp = run["observations"] in ("sharp", "exact")
         assert sharp == (run["method"] in ("oracle", "ceiling")), name
 
 
 def test_runs_and_warmups_are_named_after_what_they_are():
-    for name, run in PARAMS["runs"].items():
+    for name, run in PARAMETERS["runs"].items():
         assert name == f"{run['scene']}-{run['method']}"
-    for name, warmup in PARAMS["warmups"].items():
+    for name, warmup in PARAMETERS["warmups"].items():
         assert name == f"{warmup['scene']}-{warmup['observations']}-{warmup['start']}"
 
 
 def test_every_script_is_a_stage_and_has_its_module():
-    gathering = {
-        name
-        for path in own_pipelines()[1:]
-        for name in YAML(typ="safe", pure=True).load(path)["stages"]
-    }
-    assert {script.stem for script in SCRIPTS} == set(STAGES) | gathering
-    for name in {*STAGES, *gathering}:
-        assert (ROOT / "deblur_avatar" / "pipeline" / f"{name}.py").is_file(), name
+    own = {name: stage for path in gathering() for name, stage in stages(path).items()}
+    assert {script_of(stage) for stage in [*STAGES.values(), *own.values()]} == set(scripts(ROOT))
+    for script in SCRIPTS:
+        assert (ROOT / "deblur_avatar/pipeline" / script.name).is_file(), script
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
@@ -181,5 +191,5 @@ def test_dvc_understands_the_pipeline():
     assert done.returncode == 0, done.stderr
     listed = {line.split()[0].split("@")[0] for line in done.stdout.splitlines() if line.strip()}
     assert listed == set(STAGES)
-    for run in PARAMS["runs"]:
+    for run in PARAMETERS["runs"]:
         assert f"evaluate@{run}" in done.stdout
