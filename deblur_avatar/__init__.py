@@ -32,10 +32,12 @@ _FRONT_DOOR = {
     "pose": ("exports.posed_gaussians", "posed_gaussians"),
     "animate": ("library", "animate"),
     "Poses": ("artifacts.poses", "Poses"),
+    "Camera": ("geometry.cameras", "Camera"),
 }
 
 __all__ = [
-    "Poses", "__version__", "animate", "load_avatar", "pose", "rasterize", "render", "rest_pose",
+    "Camera", "Poses", "__version__", "animate", "load_avatar", "pose", "rasterize", "render",
+    "rest_pose",
 ]  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.model import AvatarModel
-from deblur_avatar.bodies.posed_body import posed_joints
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.cameras import look_at
 
@@ -49,8 +49,7 @@ def rest_pose(model: AvatarModel, frames: int = 1) -> Poses:
         body_pose=torch.zeros(frames, joints - 1, 3),
         transl=torch.zeros(frames, 3),
     )
-    parts = still.betas, still.global_orient, still.body_pose, still.transl
-    pelvis = posed_joints(model.body, *parts)[:, 0]
+    pelvis = posed(model.body, still).joints[:, 0]
     return Poses(**(vars(still) | {"transl": -pelvis}))
 
 

@@ -15,7 +15,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
-def own_motion(
+def captured_motion(
     motion: Motion,
     body: Body,
     viewmat: Float[Tensor, "4 4"],

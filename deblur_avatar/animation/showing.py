@@ -29,9 +29,7 @@ class Shot:
     """Poses in the world, and the camera that holds all of them."""
 
     poses: Poses
-    K: Float[Tensor, "3 3"]
-    viewmat: Float[Tensor, "4 4"]
-    size: int
+    camera: Camera
 
 
 def plan_shot(
@@ -65,15 +63,15 @@ def plan_shot(
     viewmat = level_view(body, filmed, viewmat)
     poses = place(motion, body, filmed, viewmat, turns=turns, travel=travel)
     points = _surfaces(body, poses)
-    return Shot(poses, framed_intrinsics(points, K, viewmat, size, margin), viewmat, size)
+    K = framed_intrinsics(points, K, viewmat, size, margin)
+    return Shot(poses, Camera(K, viewmat, size, size))
 
 
 def render_shot(model: AvatarModel, shot: Shot, progress: Progress) -> UInt8[Tensor, "F H W 3"]:
     """Render every pose of a shot, one after the other; `progress` wraps the loop over frames."""
-    camera = Camera(shot.K, shot.viewmat, shot.size, shot.size).to(model.betas.device)
     frames = []
     for index in progress(range(len(shot.poses.transl)), "animate"):
-        image, _ = render_avatar(model, shot.poses.at([index]), camera)
+        image, _ = render_avatar(model, shot.poses.at([index]), shot.camera)
         frames.append((image[0].cpu() * 255).round().to(torch.uint8))
     return torch.stack(frames)
 
@@ -82,4 +80,4 @@ def _surfaces(body: Body, poses: Poses) -> Float[Tensor, "F P 3"]:
     """Vertices in a few of the poses; one by one, to bound the memory that blend weights take."""
     step = -(-len(poses.transl) // FRAMING_POSES)
     few = [poses.at([index]) for index in range(0, len(poses.transl), step)]
-    return torch.cat([posed(body, p).vertices for p in few])
+    return torch.cat([posed(body, poses).vertices for poses in few])

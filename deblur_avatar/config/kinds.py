@@ -17,7 +17,7 @@ class KindOf:
 
     Args:
         key: of the section, which names the kind.
-        registry: classes of parameters by that name.
+        registry: classes of parameters by that name, or classes that call theirs `Params`.
     """
 
     key: str
@@ -30,7 +30,8 @@ class KindOf:
         return core_schema.no_info_plain_validator_function(self._section)
 
     def _section(self, value: Any) -> Any:
-        if isinstance(value, tuple(self.registry.values())):
+        classes = {name: getattr(kind, "Params", kind) for name, kind in self.registry.items()}
+        if isinstance(value, tuple(classes.values())):
             return value
         known = ", ".join(self.registry)
         if not isinstance(value, dict) or self.key not in value:
@@ -44,4 +45,4 @@ class KindOf:
                 "kind", "no {key} of this name, there is {known}",
                 {"key": self.key, "known": known},
             )  # fmt: skip
-        return TypeAdapter(self.registry[name]).validate_python(value)
+        return TypeAdapter(classes[name]).validate_python(value)

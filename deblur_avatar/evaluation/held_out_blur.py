@@ -1,4 +1,4 @@
-"""What to look at where there is no truth: blurred frames that were set aside, and their renders.
+"""Reconstructions of held-out blurred frames, which is what scores an avatar without ground truth.
 
 A frame is explained if the avatar, drawn over the exposure and averaged, looks like it; drawn at
 the exposure's middle, the same avatar shows what it would have been without blur.
@@ -21,10 +21,14 @@ from deblur_avatar.imaging.metrics import psnr
 Files = dict[str, UInt8[Tensor, "H W 3"]]
 
 
-def draw_explained(
-    avatar: Avatar, motion: Motion, observations: Observations, most: int, device: torch.device
+def reconstruct_held_out(
+    avatar: Avatar,
+    motion: Motion,
+    observations: Observations,
+    max_frames: int,
+    device: torch.device,
 ) -> tuple[Files, list[dict[str, Any]]]:
-    """Draw some validation frames (training frames if none is set aside), spread over the clip.
+    """Render some validation frames (training frames if none is set aside), spread over the clip.
 
     Returns:
         Pictures by file name, and for each frame its entry in `views.json`: the names of its
@@ -33,15 +37,15 @@ def draw_explained(
     model = AvatarModel.from_artifact(avatar, observations.body, device)
     frames = observations.validation or observations.train
     frames = tuple(f for f in frames if observations.weights[f] > 0) or frames
-    steps = torch.linspace(0, len(frames) - 1, min(most, len(frames))).round().long().tolist()
+    steps = torch.linspace(0, len(frames) - 1, min(max_frames, len(frames))).round().long().tolist()
     files: Files = {}
     index = []
     name = observations.cameras.names[observations.train_camera]
     for position in [frames[step] for step in steps]:
         exposed = poses_of_exposure(observations.body, motion, position, observations.train)
         middle = exposed.at([len(exposed.transl) // 2])
-        render = _draw(model, observations, middle, position, average=False)
-        averaged = _draw(model, observations, exposed, position, average=True)
+        render = _render(model, observations, middle, position, average=False)
+        averaged = _render(model, observations, exposed, position, average=True)
         blurred = observations.frames[position]
         frame = observations.frame_indices[position]
         names = {kind: f"{frame:04d}-{kind}.png" for kind in ("render", "averaged", "blurred")}
@@ -53,7 +57,7 @@ def draw_explained(
     return files, index
 
 
-def _draw(
+def _render(
     model: AvatarModel, observations: Observations, poses: Poses, position: int, *, average: bool
 ) -> UInt8[Tensor, "H W 3"]:
     image, _ = render_avatar(

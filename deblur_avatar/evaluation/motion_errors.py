@@ -1,4 +1,4 @@
-"""How far an estimated motion is from the true one.
+"""Motion errors: joints, surface, angles and travel against the true motion.
 
 Conventions. Positions are compared in the world, metres in and millimetres out, without any
 alignment: cameras are calibrated. Travel is how far a joint gets while the shutter is open. Where

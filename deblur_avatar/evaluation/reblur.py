@@ -1,7 +1,7 @@
-"""How well an avatar's motion explains blurred frames: it is rendered, averaged and compared.
+"""Re-blur PSNR: renders averaged over each exposure against the blurred frames.
 
-Frames set aside for validation were not fitted. Where every frame has a motion of its own, theirs
-is not known, so it is taken from the fitted frames before and after.
+Frames set aside for validation were not fitted. Where a trajectory does not know such frames
+(`knows_unfitted`), their motion is interpolated from the fitted frames before and after.
 """
 
 from collections.abc import Sequence

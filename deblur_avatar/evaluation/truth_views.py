@@ -1,4 +1,4 @@
-"""Which sharp pictures an avatar is compared with, and which of their pixels count how.
+"""Ground-truth test views, and masks of the pixels that count in each.
 
 Conventions. The truth is brought to the pixels of the observations: the same crops, the same scale.
 `foreground` is where the true matte exceeds one half; `seen` is the part of it whose surface the
@@ -144,11 +144,13 @@ def _seen_masks(
     for view, position, _ in run.progress(chosen, "seen surface"):
         camera = View.of(cameras, shown[view], RAYS_PER_AXIS)
         body = seen_pixels(vertices[position], faces, camera, np.ones_like(cells))
-        masks.append(_spread(seen_pixels(vertices[position], faces, camera, cells), body))
+        masks.append(_extend_outside(seen_pixels(vertices[position], faces, camera, cells), body))
     return masks
 
 
-def _spread(seen: Bool[np.ndarray, "H W"], body: Bool[np.ndarray, "H W"]) -> Bool[Tensor, "H W"]:
+def _extend_outside(
+    seen: Bool[np.ndarray, "H W"], body: Bool[np.ndarray, "H W"]
+) -> Bool[Tensor, "H W"]:
     """Give every pixel the value of the nearest pixel of the body."""
     if not body.any():
         return torch.from_numpy(seen)

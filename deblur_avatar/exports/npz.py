@@ -16,7 +16,7 @@ import torch
 
 from deblur_avatar import run as stage
 from deblur_avatar.animation.amass import UPRIGHT_FROM_AMASS
-from deblur_avatar.animation.captured_motion import own_motion
+from deblur_avatar.animation.captured_motion import captured_motion
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
@@ -39,7 +39,7 @@ class NpzExport(Params):
         fps = (len(times) - 1) / seconds
         viewmat = observations.cameras.viewmats[observations.train_camera]
         try:
-            motion = own_motion(run.motion, observations.body, viewmat, fps, 0.0, seconds)
+            motion = captured_motion(run.motion, observations.body, viewmat, fps, 0.0, seconds)
         except ValueError as error:
             raise ConfigError(f"export: {error}") from None
         amass_from_upright = UPRIGHT_FROM_AMASS.T

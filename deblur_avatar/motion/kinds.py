@@ -1,10 +1,9 @@
 """Registry of trajectories: each kind by the name that it has in `params.yaml` and on disk."""
 
-from typing import Annotated, Any
-
-from pydantic import PlainValidator, SerializeAsAny
+from typing import Annotated
 
 from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.config.kinds import KindOf
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.motion.clip import ClipMotion
 from deblur_avatar.motion.cubic import CubicMotion
@@ -28,18 +27,8 @@ KINDS: dict[str, type[Trajectory]] = {
 }
 
 
-def _params_of_kind(section: Any) -> MotionParams:
-    """Check a section against the class of its `kind`."""
-    if isinstance(section, MotionParams):
-        return section
-    kind = section.get("kind") if isinstance(section, dict) else None
-    if kind not in KINDS:
-        raise ValueError(f"kind must be one of {', '.join(KINDS)}")
-    return KINDS[kind].Params.model_validate(section)
-
-
-# The section of any kind; a union that is looked up when it is read, so that it is said once.
-AnyMotionParams = Annotated[SerializeAsAny[MotionParams], PlainValidator(_params_of_kind)]
+# The section of any kind.
+AnyMotionParams = Annotated[MotionParams, KindOf("kind", KINDS)]
 
 
 def kind_of(motion: Motion) -> type[Trajectory]:

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from pydantic import Field
 from torch import Tensor
 
-from deblur_avatar.animation.captured_motion import own_motion
+from deblur_avatar.animation.captured_motion import captured_motion
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.motion_files import read_motion
 from deblur_avatar.animation.showing import Progress, plan_shot, render_shot
@@ -102,7 +102,7 @@ def _motion(
     if params.motion == OWN:
         viewmat = observations.cameras.viewmats[observations.train_camera]
         try:
-            return own_motion(fitted, body, viewmat, params.fps, params.start, params.seconds)
+            return captured_motion(fitted, body, viewmat, params.fps, params.start, params.seconds)
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
     return read_motion(

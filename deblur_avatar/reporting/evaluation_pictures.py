@@ -18,7 +18,7 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
-from deblur_avatar.evaluation.held_out_blur import draw_explained
+from deblur_avatar.evaluation.held_out_blur import reconstruct_held_out
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import write_picture
@@ -68,7 +68,7 @@ def draw_pictures(
         the training camera took at that time; the index tells which is which.
     """
     if not comparisons:
-        explained, index = draw_explained(avatar, motion, observations, NOVEL_VIEWS, device)
+        explained, index = reconstruct_held_out(avatar, motion, observations, NOVEL_VIEWS, device)
         files = {name: picture.numpy() for name, picture in explained.items()}
         files["strip.png"] = _explained_strip(files, index)
         files["turntable.png"] = turntable(avatar, observations, device)

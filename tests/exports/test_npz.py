@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deblur_avatar.animation.amass import read_amass
-from deblur_avatar.animation.captured_motion import own_motion
+from deblur_avatar.animation.captured_motion import captured_motion
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
@@ -29,7 +29,7 @@ def test_the_file_drives_a_body_as_the_fit_did(painted, observations, swinging, 
     read = read_amass(tmp_path / "motion.npz")
     assert read.fps == pytest.approx(60, rel=1e-5)
     viewmat = observations.cameras.viewmats[0]
-    fitted = own_motion(run.motion, body, viewmat, 60.0, 0.0, 1.0)
+    fitted = captured_motion(run.motion, body, viewmat, 60.0, 0.0, 1.0)
     betas = poses.betas
     there = posed_joints(body, betas, read.global_orient, read.body_pose, read.transl)
     here = posed_joints(body, betas, fitted.global_orient, fitted.body_pose, fitted.transl)
