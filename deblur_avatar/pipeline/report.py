@@ -111,12 +111,9 @@ class Report:
 
 
 def make_report(
-    runs: Mapping[str, RunParams],
-    animated: Collection[str],
-    metrics: Path,
-    pictures: Path,
+    runs: Mapping[str, RunParams], animated: Collection[str], metrics: Path, pictures: Path,
     animations: Path,
-) -> Report:
+) -> Report:  # fmt: skip
     """Read the results of these runs and put them on one page; nothing else that lies there counts.
 
     Args:

@@ -119,6 +119,10 @@ def test_what_cannot_be_fitted_is_refused_with_a_message(suite, method):
     assert "the body is behind it" in rows(suite, "degenerate_cameras", method)["refused"]
 
 
+def test_no_clock_has_a_say_in_what_modes_depend_on(suite):
+    assert "seconds" not in json.loads((suite / "scene/turn/ceiling.json").read_text())
+
+
 def test_a_single_frame_has_no_trajectory_but_an_avatar(suite):
     assert "two frames or more" in rows(suite, "direction", "lean")["refused"]
     assert rows(suite, "direction", "agnostic")["refused"] is None

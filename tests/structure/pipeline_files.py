@@ -29,7 +29,7 @@ def experiments() -> list[Path]:
 def gathering() -> list[Path]:
     """Pipelines with stages of their own: that of the ablations' tables, and the stress suite's."""
     suite = sorted(
-        ROOT / "stability" / name / PIPELINE for name in ("", "agnostic", "lean", "paper")
+        ROOT / "stability" / name / PIPELINE for name in ("", "agnostic", "cases", "lean", "paper")
     )
     return [ROOT / "experiments/ablations" / PIPELINE, *suite]
 
