@@ -12,7 +12,6 @@ Source: Zhang et al., "The unreasonable effectiveness of deep features as a perc
 
 import logging
 import os
-from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 
@@ -32,6 +31,9 @@ SMALLEST_SIDE = 2 ** (len(STAGES) - 1)  # pixels
 # ImageNet's mean and standard deviation for images in [-1, 1], as the heads were trained with.
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 NORM_FLOOR = 1e-10
+# Of the two files named above; of the trunk's its publisher gives the beginning, in its name.
+WEIGHTS_SHA256 = "397923af"
+HEADS_SHA256 = "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868"
 
 
 class Lpips(nn.Module):
@@ -101,22 +103,16 @@ def load_lpips(weights: Path, heads: Path) -> Lpips:
     """Read torchvision's VGG16 and the published heads.
 
     Raises:
-        ConfigError: naming the file and what it should hold.
+        ConfigError: naming the file, if it is missing or another than the published one.
     """
     model = Lpips()
     layers = {name: f"features.{name}" for name in model.features.state_dict()}
     names = [f"lin{index}.model.1.weight" for index in range(len(model.heads))]
-    trunk = _read(weights, WEIGHTS_VARIABLE, layers.values())
-    linear = _read(heads, HEADS_VARIABLE, names)
-    try:
-        model.features.load_state_dict({name: trunk[full] for name, full in layers.items()})
-        for name, head in zip(names, model.heads, strict=True):
-            head.copy_(linear[name].reshape(head.shape))
-    except (KeyError, RuntimeError) as error:
-        raise ConfigError(
-            f"{weights} and {heads} must hold torchvision's VGG16 and the LPIPS 0.1 heads for it: "
-            f"{error}"
-        ) from error
+    trunk = _read(weights, WEIGHTS_VARIABLE, WEIGHTS_SHA256)
+    linear = _read(heads, HEADS_VARIABLE, HEADS_SHA256)
+    model.features.load_state_dict({name: trunk[full] for name, full in layers.items()})
+    for name, head in zip(names, model.heads, strict=True):
+        head.copy_(linear[name].reshape(head.shape))
     return model
 
 
@@ -132,9 +128,9 @@ def _vgg16_features() -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def _read(path: Path, variable: str, names: Collection[str]) -> dict[str, Tensor]:
+def _read(path: Path, variable: str, sha256: str) -> dict[str, Tensor]:
     try:
-        return load_pth(path, names)
+        return load_pth(path, sha256)
     except ArtifactError as error:
         raise ConfigError(f"{variable}: {error}") from None
 

@@ -1,4 +1,5 @@
 import dataclasses
+import hashlib
 
 import pytest
 import torch
@@ -11,11 +12,7 @@ from deblur_avatar.avatars.params import ModelParams
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import Camera
-from deblur_avatar.imaging.lpips import (
-    HEADS_VARIABLE,
-    WEIGHTS_VARIABLE,
-    Lpips,
-)
+from deblur_avatar.imaging import lpips
 from deblur_avatar.motion.kinds import KINDS, trajectory_from_artifact
 from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.motion.trajectory import instants
@@ -105,18 +102,21 @@ def hurried(params):
 
 @pytest.fixture
 def lpips_weights(tmp_path, monkeypatch):
-    """Random weights under the names that the environment's files have."""
+    """Random weights under the names that the environment's files have, as if published."""
     torch.manual_seed(0)
-    model = Lpips()
+    model = lpips.Lpips()
     for layer in model.features:
         if isinstance(layer, torch.nn.Conv2d):
             torch.nn.init.kaiming_normal_(layer.weight)
             torch.nn.init.zeros_(layer.bias)
     trunk = {f"features.{name}": value for name, value in model.features.state_dict().items()}
     heads = {f"lin{index}.model.1.weight": head for index, head in enumerate(model.heads)}
-    for variable, content in ((WEIGHTS_VARIABLE, trunk), (HEADS_VARIABLE, heads)):
-        torch.save(content, tmp_path / f"{variable}.pth")
-        monkeypatch.setenv(variable, str(tmp_path / f"{variable}.pth"))
+    for name, content in (("WEIGHTS", trunk), ("HEADS", heads)):
+        path = tmp_path / f"{name}.pth"
+        torch.save(content, path)
+        monkeypatch.setenv(getattr(lpips, f"{name}_VARIABLE"), str(path))
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        monkeypatch.setattr(lpips, f"{name}_SHA256", digest)
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_lpips_falls_and_moves_the_avatar_where_its_weights_are_given(begin, sta
 
 
 def test_without_its_weights_lpips_changes_nothing(begin, start, monkeypatch):
-    for variable in (WEIGHTS_VARIABLE, HEADS_VARIABLE):
+    for variable in (lpips.WEIGHTS_VARIABLE, lpips.HEADS_VARIABLE):
         monkeypatch.delenv(variable, raising=False)
     results = []
     for weight in (0.0, 0.01):
