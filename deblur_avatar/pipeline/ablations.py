@@ -19,9 +19,9 @@ from deblur_avatar.evaluation.recovery import (
     compared,
     spread,
 )
-from deblur_avatar.pipeline.report import read_results, read_timelines
+from deblur_avatar.pipeline.report import read_learning_curves, read_results
 from deblur_avatar.reporting.charts import chart_files
-from deblur_avatar.reporting.page import TEMPLATES, render_page
+from deblur_avatar.reporting.page import render_page
 from deblur_avatar.reporting.results_table import (
     GAUSSIANS,
     MEMORY,
@@ -47,7 +47,7 @@ from deblur_avatar.reporting.speed_accuracy import (
     with_speed,
 )
 
-TEMPLATE = TEMPLATES / "ablations.html.jinja"
+TEMPLATE = Path(__file__).parent / "ablations.html.jinja"
 NEVER = "never"  # as good as `paper` is in the end
 IMAGE = ("psnr", "ssim_range2", "ssim", "lpips_vgg", "flip", "psnr_seen")  # in the paper's order
 PAPER = tuple(Column((), f"paper*: {metric}", kind="other") for metric in ("PSNR", "SSIM", "LPIPS"))
@@ -149,7 +149,7 @@ class _Seeds:
     results: Mapping[str, Sequence[Result]]  # one a seed
     means: Mapping[str, Result]
     spreads: Mapping[str, Result]
-    timelines: Mapping[str, Result]  # means
+    curves: Mapping[str, Result]  # means
 
 
 def report_ablations(
@@ -168,7 +168,7 @@ def report_ablations(
     text += "\n".join(f"### {t.title}\n\n{t.note}\n\n{markdown(t)}" for t in tables)
     rows = rows_of_methods({scene: seeds.means}, {scene: seeds.spreads})
     charts = chart_files("speed_accuracy", rows)
-    charts |= chart_files("quality_over_time", rows_over_time({scene: seeds.timelines}))
+    charts |= chart_files("quality_over_time", rows_over_time({scene: seeds.curves}))
     pictures = {Path(f).stem: charts[f].decode() for f in charts if f.endswith(".svg")}
     quiet = (NOT_MEASURED, NEVER)
     page = render_page(TEMPLATE, about=about, tables=tables, quiet=quiet, charts=pictures)
@@ -185,28 +185,29 @@ def _gathered(folders: Sequence[Path], runs: Mapping[str, RunParams], scene: str
             count += 1
             for method, result in compared(results).items():
                 every.setdefault(method, []).append(result)
-            for method, timeline in read_timelines(folder / "metrics", runs).get(scene, {}).items():
-                kept.setdefault(method, []).append(timeline)
+            curves = read_learning_curves(folder / "metrics", runs).get(scene, {})
+            for method, curve in curves.items():
+                kept.setdefault(method, []).append(curve)
     if not count:
         raise ArtifactError(
             f"no results of {scene} in {', '.join(map(str, folders))}; run `dvc repro` there"
         )
-    timelines = {method: _mean_timeline(method, found) for method, found in kept.items()}
+    mean_curves = {method: _mean_curve(method, found) for method, found in kept.items()}
     means = {method: averaged(results) for method, results in every.items()}
     spreads = {method: spread(results) for method, results in every.items()}
-    return _Seeds(count, every, with_speed(means, timelines), spreads, timelines)
+    return _Seeds(count, every, with_speed(means, mean_curves), spreads, mean_curves)
 
 
-def _mean_timeline(method: str, timelines: Sequence[Result]) -> Result:
+def _mean_curve(method: str, curves: Sequence[Result]) -> Result:
     """Means of what was measured at the same moments of several seeds."""
-    moments = [[(p["stage"], p["iteration"]) for p in t["points"]] for t in timelines]
+    moments = [[(p["stage"], p["iteration"]) for p in t["points"]] for t in curves]
     if any(other != moments[0] for other in moments):
         raise ArtifactError(
             f"{method} was looked at after other iterations from seed to seed; run `dvc repro`"
         )
-    points = zip(*(timeline["points"] for timeline in timelines), strict=True)
+    points = zip(*(curve["points"] for curve in curves), strict=True)
     means = [{**averaged(same), "iteration": same[0]["iteration"]} for same in points]
-    return {**averaged(timelines), "points": means}
+    return {**averaged(curves), "points": means}
 
 
 def _columns() -> tuple[Column, ...]:
@@ -241,7 +242,7 @@ def _measured(seeds: _Seeds, method: str) -> list[tuple[Column, float | None, fl
 
 
 def _missing(seeds: _Seeds, method: str, column: Column) -> str:
-    watched = column == TO_PAPER and {method, MEASURE} <= seeds.timelines.keys()
+    watched = column == TO_PAPER and {method, MEASURE} <= seeds.curves.keys()
     return NEVER if watched else NOT_MEASURED
 
 

@@ -24,7 +24,7 @@ from deblur_avatar.evaluation.recovery import (
 )
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.reporting.charts import CHARTS, chart_files
-from deblur_avatar.reporting.page import TEMPLATES, data_uri, picture_uri, render_page
+from deblur_avatar.reporting.page import data_uri, picture_uri, render_page
 from deblur_avatar.reporting.picture_strips import (
     LEFT_OUT,
     Picture,
@@ -48,7 +48,7 @@ from deblur_avatar.reporting.speed_accuracy import rows_of_methods, rows_over_ti
 
 logger = logging.getLogger(__name__)
 
-TEMPLATE = TEMPLATES / "report.html.jinja"
+TEMPLATE = Path(__file__).parent / "report.html.jinja"
 STRIPS = 4  # of each scene on the page
 README_STRIPS = 2
 REPEATS = 3  # scenes that saw the same methods, before a mean over them is shown
@@ -60,7 +60,7 @@ DECLARED = {
     "reblur_psnr": ("reblur", "psnr"),
     "train_s": ("cost", "train_s"),
 }
-MOMENT = {"stage", "iteration"}  # what each point of a timeline has at least
+MOMENT = {"stage", "iteration"}  # what each point of a learning curve has at least
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
 Results = dict[str, dict[str, Any]]  # by method
@@ -116,14 +116,14 @@ def make_report(
         ArtifactError: if a file is damaged; names it.
     """
     shown = {name: animations / name for name in animated}
-    timelines = read_timelines(metrics, runs)
+    curves = read_learning_curves(metrics, runs)
     scenes = {
-        scene: with_speed(compared(results), timelines.get(scene, {}))
+        scene: with_speed(compared(results), curves.get(scene, {}))
         for scene, results in read_results(metrics, runs).items()
     }
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
     charts = chart_files("speed_accuracy", rows_of_methods(scenes))
-    charts |= chart_files("quality_over_time", rows_over_time(timelines))
+    charts |= chart_files("quality_over_time", rows_over_time(curves))
     main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     repeated = _repeated(scenes)
     if repeated is not None:
@@ -204,8 +204,8 @@ def read_results(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Resu
     return dict(sorted(scenes.items(), key=lambda item: ("ceiling" not in item[1], item[0])))
 
 
-def read_timelines(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
-    """What the stage `timeline` measured of these runs, by scene and method, with seconds.
+def read_learning_curves(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
+    """The learning curves of these runs, by scene and method, with seconds.
 
     Raises:
         ArtifactError: if a file is damaged.
@@ -221,8 +221,8 @@ def read_timelines(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Re
                     f"{path} is damaged: its points must each have {', '.join(sorted(MOMENT))}; "
                     "run `dvc repro`"
                 )
-            timeline = with_seconds(content, metrics / "cost", run_params)
-            found.setdefault(run_params.scene, {})[run_params.method] = timeline
+            curve = with_seconds(content, metrics / "cost", run_params)
+            found.setdefault(run_params.scene, {})[run_params.method] = curve
     return found
 
 

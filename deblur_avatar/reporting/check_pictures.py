@@ -6,6 +6,7 @@ which way the body faced.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -24,12 +25,12 @@ from deblur_avatar.evaluation.scene_measures import (
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.contact_sheets import contact_sheet
-from deblur_avatar.reporting.page import TEMPLATES, picture_uri, render_page
+from deblur_avatar.reporting.page import picture_uri, render_page
 from deblur_avatar.reporting.results_table import NOT_MEASURED, Cell, Column, Table
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
-TEMPLATE = TEMPLATES / "check.html.jinja"
+TEMPLATE = Path(__file__).parent / "check.html.jinja"
 FRAMES, COLUMNS, HEIGHT = 7, 4, 380  # pictures; pictures a row; pixels
 MASK, BODY, MIDDLE, LEFT, RIGHT = (
     (255, 210, 40), (70, 150, 255), (255, 255, 255), (255, 90, 80), (90, 220, 110),

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 from deblur_avatar.imaging.picture_files import jpeg_bytes
 
-TEMPLATES = Path(__file__).parent  # among them `page.html.jinja`, which all the others extend
+FRAME = Path(__file__).parent / "page.html.jinja"
 
 
 def render_page(template: Path, **content: Any) -> str:
@@ -21,7 +21,7 @@ def render_page(template: Path, **content: Any) -> str:
         content: what the template names; a name that is missing is an error.
     """
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([template.parent, TEMPLATES]),
+        loader=jinja2.FileSystemLoader([template.parent, FRAME.parent]),
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     return environment.get_template(template.name).render(**content) + "\n"

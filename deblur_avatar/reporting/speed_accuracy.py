@@ -22,12 +22,12 @@ Results = Mapping[str, Mapping[str, Any]]  # by method
 Row = dict[str, Any]
 
 
-def with_speed(results: Results, timelines: Results) -> dict[str, dict[str, Any]]:
+def with_speed(results: Results, learning_curves: Results) -> dict[str, dict[str, Any]]:
     """Add `speed` to the results of one scene.
 
     `disk_mb` is the avatar's size as stored, `time_to_paper_s` when in training a method was as
     good as `paper` is in the end (None: never), `pareto` whether it is on the front. The former two
-    are None without a timeline.
+    are None without a learning curve.
     """
     front = pareto_front(
         {
@@ -38,13 +38,13 @@ def with_speed(results: Results, timelines: Results) -> dict[str, dict[str, Any]
             and (psnr := look_up(result, QUALITY)) is not None
         }
     )
-    curves = {method: _curve(timelines.get(method, {}), "novel views") for method in results}
+    curves = {method: _curve(learning_curves.get(method, {}), "novel views") for method in results}
     goal = curves.get(MEASURE)
     return {
         method: {
             **result,
             "speed": {
-                "disk_mb": look_up(timelines.get(method, {}), ("disk_mb",)),
+                "disk_mb": look_up(learning_curves.get(method, {}), ("disk_mb",)),
                 "time_to_paper_s": seconds_to(curves[method], goal[-1][1]) if goal else None,
                 "pareto": method in front,
             },
@@ -123,11 +123,11 @@ def rows_of_methods(
     return rows
 
 
-def rows_over_time(timelines: Mapping[str, Results]) -> list[Row]:
+def rows_over_time(learning_curves: Mapping[str, Results]) -> list[Row]:
     """One row for each snapshot of each scene and method, for each quality that was measured."""
     rows = []
     for measure in QUALITIES:
-        for scene, methods in timelines.items():
+        for scene, methods in learning_curves.items():
             curves = {method: _curve(methods[method], measure) for method in method_order(methods)}
             goal = curves.get(MEASURE)
             for method, curve in curves.items():
@@ -149,11 +149,11 @@ def rows_over_time(timelines: Mapping[str, Results]) -> list[Row]:
     return rows
 
 
-def _curve(timeline: Mapping[str, Any], measure: str) -> list[tuple[float, float]]:
+def _curve(points: Mapping[str, Any], measure: str) -> list[tuple[float, float]]:
     """Seconds and quality of each snapshot at which the quality was measured."""
     return [
         (float(point["seconds"]), quality)
-        for point in timeline.get("points") or ()
+        for point in points.get("points") or ()
         if (quality := _quality(point, measure)) is not None
     ]
 

@@ -449,7 +449,7 @@ def test_a_scene_without_truth_says_how_well_its_blurred_frames_are_explained(pr
 
 
 @pytest.mark.parametrize("points", [None, 3, [1], [{"stage": "fusion"}]])
-def test_a_damaged_timeline_is_named_with_what_to_do(project, points):
+def test_a_damaged_learning_curve_is_named_with_what_to_do(project, points):
     path = project / "metrics/timeline/studio-paper.json"
     write_json(path, {"scene": "studio", "method": "paper", "points": points})
     with pytest.raises(ArtifactError, match=r"studio-paper\.json is damaged.*dvc repro"):

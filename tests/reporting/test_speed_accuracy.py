@@ -18,7 +18,7 @@ def result(seconds, psnr):
     return {"image": {"psnr": psnr}, "cost": {"train_s": seconds, "render_fps": 50.0}}
 
 
-def timeline(scores, seconds=(10.0, 100.0)):
+def curve(scores, seconds=(10.0, 100.0)):
     points = [
         {
             "stage": "warmup", "iteration": i, "seconds": s, "image": {"psnr": p},
@@ -32,9 +32,9 @@ def timeline(scores, seconds=(10.0, 100.0)):
 @pytest.fixture
 def studio():
     results = {method: result(*numbers) for method, numbers in FINAL.items()}
-    timelines = {"paper": timeline((20.0, 25.0)), "lean": timeline((23.0, 27.0)),
-                 "agnostic": timeline((20.0, 24.0))}  # fmt: skip
-    return with_speed(results, timelines), timelines
+    curves = {"paper": curve((20.0, 25.0)), "lean": curve((23.0, 27.0)),
+                 "agnostic": curve((20.0, 24.0))}  # fmt: skip
+    return with_speed(results, curves), curves
 
 
 def test_the_front_is_whoever_is_not_beaten_in_both():
@@ -80,7 +80,7 @@ def test_a_curve_has_a_row_for_each_snapshot_and_quality(studio):
 
 
 def test_without_novel_views_curves_are_of_validation_frames():
-    untrue = {"mine": {"lean": timeline((20.0, 22.0))}}
+    untrue = {"mine": {"lean": curve((20.0, 22.0))}}
     for point in untrue["mine"]["lean"]["points"]:
         point["image"] = None
     (measure,) = {row["measure"] for row in rows_over_time(untrue)}

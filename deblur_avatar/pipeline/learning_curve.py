@@ -34,7 +34,7 @@ class Moment:
     folder: Path  # of `avatar` and `motion`
 
 
-def timeline(
+def learning_curve(
     observations: Observations,
     reference: Reference,
     stages: Mapping[str, Path],
