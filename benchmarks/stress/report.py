@@ -1,4 +1,4 @@
-"""Which ways to fail each method survives: rules applied to what was measured, on one page.
+"""The stress report: rules applied to what was measured, on one page.
 
 Measuring and judging are apart, so that a changed rule costs seconds. A mode is passed if every
 severity is; a severity that does not apply to a method counts for nothing.
@@ -13,13 +13,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.stress.checks import AGNOSTIC, Case, Check
 from benchmarks.stress.params import ModeParams, SeverityParams
-from benchmarks.stress.rules import (
-    AGNOSTIC,
-    Case,
-    Check,
-    judge,
-)
+from benchmarks.stress.rules import judge
 from benchmarks.stress.suite import PICTURES
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError

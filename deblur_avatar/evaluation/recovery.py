@@ -99,21 +99,25 @@ def pooled(scenes: Mapping[str, Mapping[str, Result]], method: str) -> Result:
     return compared(means)[method] | {"gap_to_ceiling_db": gap, "scenes": list(own)}
 
 
-def averaged(results: Iterable[Result]) -> Result:
-    """Mean of each number over several scenes, over those where it was measured.
+def averaged(results: Iterable[Result], *, complete: bool = False) -> Result:
+    """Mean of each number over several results, over those where it was measured.
 
-    Words and lists are kept where all scenes agree on them and left out otherwise.
+    Words, lists and truth values are kept where all agree on them and left out otherwise.
+
+    Args:
+        results: of several scenes, seeds or draws.
+        complete: a number that one of them could not measure has no mean.
     """
     every = list(results)
     mean: Result = {}
     for key in dict.fromkeys(key for result in every for key in result):
         values = [result[key] for result in every if result.get(key) is not None]
         if values and all(isinstance(value, dict) for value in values):
-            mean[key] = averaged(values)
-        elif values and all(_is_number(value) for value in values):
-            mean[key] = sum(values) / len(values)
-        elif not values:
+            mean[key] = averaged(values, complete=complete)
+        elif not values or (complete and len(values) < len(every)):
             mean[key] = None
+        elif all(_is_number(value) for value in values):
+            mean[key] = sum(values) / len(values)
         elif all(value == values[0] for value in values):
             mean[key] = values[0]
     return mean
