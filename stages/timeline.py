@@ -6,7 +6,7 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.pipeline.timeline import timeline
+from deblur_avatar.pipeline.learning_curve import learning_curve
 
 
 def main(
@@ -16,7 +16,7 @@ def main(
     """Score all snapshots of one run."""
     seed = load_params(params_file, "seed", int)
     with run.stage("timeline", f"{scene}-{method}", seed) as context:
-        content = timeline(
+        content = learning_curve(
             Observations.load(observations),
             Reference.load(reference),
             {"warmup": warmup, "trajectory": trajectory, "fusion": fusion},

@@ -1,4 +1,4 @@
-"""One whole fit of the suite: warm-up, trajectory and fusion in memory, with nothing saved."""
+"""One fit of the suite: warm-up, trajectory and fusion in memory, with nothing saved."""
 
 import math
 import time
@@ -18,16 +18,16 @@ from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams
 
-NEEDLE = 1e-12  # metres
+DEGENERATE_SCALE = 1e-12  # metres
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit leaves, how long the shutter was open (where that was estimated), and its time."""
+    """What a fit leaves: avatar and motion, the estimated shutter, and the time it took."""
 
     avatar: Avatar
     motion: Motion
-    shutter: float | None  # seconds; `fusion` takes it as settled and tells it no more
+    shutter: float | None  # seconds; None where it was given
     shutter_std: float | None  # seconds
     seconds: float
 
@@ -49,7 +49,7 @@ class FitSetup:
 
 
 def fit_method(
-    observations: Observations, setup: FitSetup, *, draw: int = 0, needles: float = 0.0
+    observations: Observations, setup: FitSetup, *, draw: int = 0, degenerate: float = 0.0
 ) -> Fitted:
     """Fit as the three stages do; every fit of the suite draws alike, so that they compare.
 
@@ -57,7 +57,8 @@ def fit_method(
         observations: blurred, or sharp with exact poses.
         setup: how and where.
         draw: number of the fit, of several that differ in their draws only.
-        needles: share of the Gaussians that become infinitely thin after the warm-up.
+        degenerate: share of the Gaussians that become thin as needles after the warm-up, and as
+            many that become points.
 
     Raises:
         ConfigError, ArtifactError: as the stages do.
@@ -70,8 +71,8 @@ def fit_method(
     avatar, checkpoint, _ = warm_up(
         observations, start, schedule, device=device, generator=generator, report=_silence
     )
-    if needles > 0:
-        avatar = _with_needles(avatar, needles)
+    if degenerate > 0:
+        avatar = _with_degenerate_gaussians(avatar, degenerate)
     avatar, motion, checkpoint, cost = fit_trajectory(
         observations, avatar, checkpoint, start, method.trajectory, schedule,
         device=device, generator=generator, report=_silence,
@@ -92,11 +93,11 @@ def lengthened(schedule: ScheduleParams, times: float) -> ScheduleParams:
     return schedule.model_copy(update=ends)
 
 
-def _with_needles(avatar: Avatar, share: float) -> Avatar:
+def _with_degenerate_gaussians(avatar: Avatar, share: float) -> Avatar:
     log_scales = avatar.log_scales.clone()
     count = round(share * len(log_scales))
-    log_scales[:count, 0] = math.log(NEEDLE)
-    log_scales[count : 2 * count] = math.log(NEEDLE)
+    log_scales[:count, 0] = math.log(DEGENERATE_SCALE)
+    log_scales[count : 2 * count] = math.log(DEGENERATE_SCALE)
     return replace(avatar, log_scales=log_scales)
 
 

@@ -1,4 +1,4 @@
-"""What the stability suite measures of a fit: the evaluation's numbers and a few of its own.
+"""Measures of one fit of the suite: the evaluation's numbers and a few of its own.
 
 Conventions. The score is PSNR over the surface that the training camera saw, novel views, dB. Crops
 are discs around joints of the true pose; silhouettes are where coverage exceeds one half.
@@ -7,7 +7,6 @@ are discs around joints of the true pose; silhouettes are where coverage exceeds
 import dataclasses
 import hashlib
 import math
-import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +25,7 @@ from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
+from deblur_avatar.evaluation.recovery import averaged
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging import metrics
@@ -97,14 +97,10 @@ def mean_of_draws(draws: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     `scores` keeps every draw's score; a number that one draw could not measure is None.
     """
     row = dict(draws[0])
-    for key, value in row.items():
-        values = [draw[key] for draw in draws]
-        if isinstance(value, bool):
-            row[key] = all(values)
-        elif any(v is None for v in values):
-            row[key] = None
-        elif isinstance(value, int | float) and len(draws) > 1:
-            row[key] = statistics.fmean(values)
+    if len(draws) > 1:
+        truths = {key for key, value in row.items() if isinstance(value, bool)}
+        row |= averaged(map(dict, draws), complete=True)
+        row |= {key: all(draw[key] for draw in draws) for key in truths}
     return row | {"scores": [draw["score"] for draw in draws]}
 
 
@@ -147,9 +143,9 @@ def _area_error(
     fitted: Fitted,
     device: torch.device,
 ) -> float:
-    """By which share drawn silhouettes are larger than true ones, over all test views."""
+    """By which share rendered silhouettes are larger than true ones, over all test views."""
     model = AvatarModel.from_artifact(fitted.avatar, observations.body, device)
-    drawn, true = 0.0, 0.0
+    rendered, true = 0.0, 0.0
     for comparison in shown:
         view = comparison.view
         _, alpha = render_avatar(
@@ -157,9 +153,9 @@ def _area_error(
             fitted.motion.centre.at([view.position]),
             observations.cameras.camera(view.camera),
         )
-        drawn += float((alpha > HALF).sum())
+        rendered += float((alpha > HALF).sum())
         true += float(view.foreground.sum())
-    return drawn / max(true, 1.0) - 1
+    return rendered / max(true, 1.0) - 1
 
 
 def _stretch(
@@ -202,7 +198,7 @@ def _longest(model: AvatarModel, poses: Poses) -> Float[Tensor, " N"]:
 def _worst(
     observations: Observations, shown: Sequence[Comparison]
 ) -> tuple[Picture, Picture, Picture]:
-    """Of the views that show mostly what the training camera saw, the one drawn worst."""
+    """Of the views that show mostly what the training camera saw, the one rendered worst."""
     views = [c for c in shown if 2 * c.view.seen.sum() >= c.view.foreground.sum() > 0] or shown
     worst = min(views, key=lambda comparison: comparison.scores["psnr_foreground"])
     blurred = observations.frames[worst.view.position]

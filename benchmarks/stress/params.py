@@ -14,7 +14,7 @@ from deblur_avatar.sources.studio.source import StudioParams
 class StabilitySceneParams(Params):
     """One small scene of the suite.
 
-    `clip.motion` names a motion of `stability_motions`. `cloth_m` is how far the clothes below the
+    `clip.motion` names a motion of `motions.py`. `cloth_m` is how far the clothes below the
     waist swing to either side, which no joint of the body explains.
     """
 
@@ -25,11 +25,11 @@ class StabilitySceneParams(Params):
 class SeverityParams(Params):
     """How bad one failure is: which scene, what is done to it, and how fitting is disturbed.
 
-    `damage` names functions of `stability_damage` with their amounts, applied in order. `fit` may
+    `damage` names functions of `damage.py` with their amounts, applied in order. `fit` may
     hold `budget` (times the schedule), `seed` (another draw), `draws` (how many, from that one on,
     are averaged), `oracle` (a method without a model of blur is fitted to the sharp frames, too),
     `estimated_shutter`, `exposure_gain`, `start_noise` (radians, instead of the method's) and
-    `needles` (share of the Gaussians).
+    `needles` (share of the Gaussians that become degenerate).
     """
 
     scene: str

@@ -1,4 +1,4 @@
-"""Which ways to fail each method survives: rules applied to what was measured, on one page.
+"""The stress report: rules applied to what was measured, on one page.
 
 Measuring and judging are apart, so that a changed rule costs seconds. A mode is passed if every
 severity is; a severity that does not apply to a method counts for nothing.
@@ -11,28 +11,24 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import jinja2
 import numpy as np
 
+from benchmarks.stress.checks import AGNOSTIC, Case, Check
 from benchmarks.stress.params import ModeParams, SeverityParams
-from benchmarks.stress.rules import (
-    AGNOSTIC,
-    Case,
-    Check,
-    judge,
-)
+from benchmarks.stress.rules import judge
 from benchmarks.stress.suite import PICTURES
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import read_picture
+from deblur_avatar.reporting.page import picture_uri, render_page
 from deblur_avatar.reporting.picture_strips import (
     Picture,
     person_box,
-    picture_uri,
 )
+from deblur_avatar.reporting.results_table import Cell, Column, Table
 
-TEMPLATE = "stability_report.html.jinja"
+TEMPLATE = Path(__file__).parent / "report.html.jinja"
 CLEAN = ("seeds", "seed 0")  # the mode and severity in which nothing is wrong
 DARKEST, BRIGHTEST = 8.0, 19.0  # dB between which the heat map's colours run
 ENLARGED = 2  # times, of the worst pictures
@@ -175,7 +171,7 @@ def _summary(
     return {
         "modes": len(verdicts),
         "passed": passed,
-        "failed_though_blind_passes": lost,
+        "failed_though_agnostic_passes": lost,
         "spread_over_seeds_db": {
             method: _spread(rows[CLEAN[0]].get(method, {})) for method in methods
         },
@@ -226,11 +222,30 @@ def _page(
         }
         for mode, of in verdicts.items()
     ]  # fmt: skip
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    headline = _headline(summary, methods)
+    return render_page(TEMPLATE, modes=shown, summary=summary, methods=methods, headline=headline)
+
+
+def _headline(summary: Mapping[str, Any], methods: Sequence[str]) -> Table:
+    rows = {
+        f"modes passed, of {summary['modes']}": lambda m: str(summary["passed"][m]),
+        "failed, though agnostic passes": lambda m: str(
+            len(summary["failed_though_agnostic_passes"][m])
+        ),
+        "clean scene, dB, mean \u00b1 spread over seeds": lambda m: _with_deviation(
+            **summary["spread_over_seeds_db"][m]
+        ),
+    }
+    return Table(
+        columns=tuple(Column((), method) for method in methods),
+        rows=tuple((name, tuple(Cell(of(m)) for m in methods)) for name, of in rows.items()),
     )
-    template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text())
-    return template.render(modes=shown, summary=summary, methods=methods) + "\n"
+
+
+def _with_deviation(mean: float | None, deviation: float | None, seeds: float) -> str:
+    if mean is None:
+        return "\u2013"
+    return f"{mean:.2f}" + (f" \u00b1 {deviation:.2f}" if deviation is not None else "")
 
 
 def _cell(entry: Mapping[str, Any]) -> dict[str, Any]:

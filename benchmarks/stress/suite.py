@@ -1,4 +1,4 @@
-"""How one method takes one way to fail: damaged, fitted, measured at every severity.
+"""One method in one failure mode: damaged, fitted and measured at every severity.
 
 Whether that is good enough is not decided here: a rule may compare methods, so the stage
 `stability_report` judges. What the pipeline refuses with its own errors and what falls over
@@ -40,7 +40,7 @@ FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "exposure_
             "start_noise", "needles")  # fmt: skip
 PICTURES = ("blurred", "render", "truth")
 
-Film = Callable[[str], tuple[Clip, Reference]]
+LoadScene = Callable[[str], tuple[Clip, Reference]]
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Item:
                 write_picture(folder / f"{name}.png", picture)
 
 
-def film_of(folder: Path) -> Film:
+def scenes_in(folder: Path) -> LoadScene:
     """Reads the scenes that `stability_scene` wrote."""
     return lambda name: (
         Clip.load(folder / name / "clip"),
@@ -66,8 +66,13 @@ def film_of(folder: Path) -> Film:
     )
 
 
-def run_mode(mode: ModeParams, setup: FitSetup, film: Film) -> Item:
-    """Go through all severities of a mode; `film` gives the clip and the truth of a scene by name.
+def run_mode(mode: ModeParams, setup: FitSetup, load_scene: LoadScene) -> Item:
+    """Go through all severities of a mode.
+
+    Args:
+        mode: of the suite.
+        setup: how one method is fitted.
+        load_scene: gives the clip and the truth of a scene by name.
 
     Raises:
         ConfigError: if a severity asks for something that there is not.
@@ -75,12 +80,12 @@ def run_mode(mode: ModeParams, setup: FitSetup, film: Film) -> Item:
     rows: dict[str, dict[str, Any]] = {}
     worst: Measured | None = None
     for label, severity in mode.severities.items():
-        _check(label, severity)
+        _check_keys(label, severity)
         known = type(setup.method.trajectory.motion).model_fields
         if "estimated_shutter" in severity.fit and "shutter" not in known:
             rows[label] = {"skipped": "this method has no shutter to estimate"}
             continue
-        row, measured = _attempt(severity, setup, film)
+        row, measured = _attempt(severity, setup, load_scene)
         rows[label] = {"scene": severity.scene, **row}
         logger.info("%s: %s", label, _shown(row))
         if measured is not None and (
@@ -90,38 +95,44 @@ def run_mode(mode: ModeParams, setup: FitSetup, film: Film) -> Item:
     return Item(rows, worst)
 
 
-def _check(label: str, severity: SeverityParams) -> None:
+def _check_keys(label: str, severity: SeverityParams) -> None:
     unknown = sorted(set(severity.fit) - set(FIT_KEYS))
     if unknown:
         raise ConfigError(f"severity {label!r}: fit has no {unknown}, it has {', '.join(FIT_KEYS)}")
 
 
 def _attempt(
-    severity: SeverityParams, setup: FitSetup, film: Film
+    severity: SeverityParams, setup: FitSetup, load_scene: LoadScene
 ) -> tuple[dict[str, Any], Measured | None]:
     """One severity: what was measured, and its worst draw, or how it ended instead."""
-    clip, reference = film(severity.scene)
+    clip, reference = load_scene(severity.scene)
     row: dict[str, Any] = {"refused": None, "crashed": None, "flags": []}
-    with _warnings() as heard:
+    with _warnings() as messages:
         try:
             prepared = prepare(
                 clip, capsule_body(), severity.damage, setup.schedule.image_height,
                 setup.validation_stride, setup.seed,
             )  # fmt: skip
             row["flags"] = _flags(prepared.blurred, prepared.metrics)
-            drawn = _draws(prepared.blurred, severity, setup, prepared.blurred, reference)
+            fits = _draws(prepared.blurred, severity, setup, prepared.blurred, reference)
             if "oracle" in severity.fit and setup.method.trajectory.supervision == "sharp":
                 assert prepared.sharp is not None  # the studio knows all
                 sharp = _draws(prepared.sharp, severity, setup, prepared.blurred, reference)
                 row["oracle"] = mean_of_draws([measured.numbers for measured in sharp])
         except (ConfigError, ArtifactError) as error:
-            return {**row, "refused": f"{type(error).__name__}: {error}", "warnings": heard}, None
+            return _ended(row, "refused", error, messages), None
         except Exception as error:  # a crash is what this suite looks for
             logger.warning("%s", "".join(traceback.format_exception(error)))
-            return {**row, "crashed": f"{type(error).__name__}: {error}", "warnings": heard}, None
-    told = list(dict.fromkeys(heard))  # each draw says the same again
-    worst = min(drawn, key=lambda measured: measured.numbers["score"])
-    return {**row, **mean_of_draws([m.numbers for m in drawn]), "warnings": told}, worst
+            return _ended(row, "crashed", error, messages), None
+    once = list(dict.fromkeys(messages))  # each draw says the same again
+    worst = min(fits, key=lambda measured: measured.numbers["score"])
+    return {**row, **mean_of_draws([m.numbers for m in fits]), "warnings": once}, worst
+
+
+def _ended(
+    row: Mapping[str, Any], how: str, error: Exception, messages: list[str]
+) -> dict[str, Any]:
+    return {**row, how: f"{type(error).__name__}: {error}", "warnings": messages}
 
 
 def _draws(
@@ -133,9 +144,9 @@ def _draws(
 ) -> list[Measured]:
     """As many fits to what is seen as a severity asks for, each compared with the truth."""
     chosen, first = _changed(setup, severity.fit), int(severity.fit.get("seed", 0))
-    needles = severity.fit.get("needles", 0.0)
+    degenerate = severity.fit.get("needles", 0.0)
     fits = (
-        fit_method(seen, chosen, draw=draw, needles=needles)
+        fit_method(seen, chosen, draw=draw, degenerate=degenerate)
         for draw in range(first, first + int(severity.fit.get("draws", 1)))
     )
     return [measure(blurred, reference, fitted, setup.device) for fitted in fits]
@@ -173,18 +184,18 @@ def _flags(observations: Observations, metrics: Mapping[str, Any]) -> list[str]:
 @contextmanager
 def _warnings() -> Iterator[list[str]]:
     """What the package warns of meanwhile."""
-    heard: list[str] = []
+    messages: list[str] = []
 
     class LogCapture(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            heard.append(record.getMessage())
+            messages.append(record.getMessage())
 
-    ear, package = LogCapture(logging.WARNING), logging.getLogger("deblur_avatar")
-    package.addHandler(ear)
+    capture, package = LogCapture(logging.WARNING), logging.getLogger("deblur_avatar")
+    package.addHandler(capture)
     try:
-        yield heard
+        yield messages
     finally:
-        package.removeHandler(ear)
+        package.removeHandler(capture)
 
 
 def _shown(row: Mapping[str, Any]) -> str:

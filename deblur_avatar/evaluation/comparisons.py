@@ -11,12 +11,9 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.evaluation.truth_views import (
-    TruthView,
-)
-from deblur_avatar.imaging import metrics
+from deblur_avatar.evaluation.metrics import ImagePair, scores
+from deblur_avatar.evaluation.truth_views import TruthView
 from deblur_avatar.imaging.color import srgb_to_linear
-from deblur_avatar.imaging.lpips import lpips_vgg
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +33,9 @@ def compare(
     view: TruthView,
     poses: Poses,
 ) -> Comparison:
-    """Draw one test view in the pose that `poses` has for it, and score it.
+    """Render one test view in the pose that `poses` has for it, and score it.
 
-    Colours are drawn with the latent code of the frame if it was trained on, else of the last one
+    Colours take the latent code of the frame if it was trained on, else of the last one
     that was (as 3DGS-Avatar does).
     """
     trained = view.position in observations.train
@@ -49,29 +46,17 @@ def compare(
         frame=view.position if trained else max(observations.train),
         background=_background(reference, model),
     )
-    render = image.cpu()
-    truth = view.image[None].float() / 255
-    foreground, seen = view.foreground[None], view.seen[None]
-    difference = metrics.flip_map(render, truth)
-    scores = {
-        "psnr": metrics.psnr(render, truth),
-        "ssim": metrics.ssim(render, truth),
-        "ssim_range2": metrics.ssim_range2(render, truth),
-        "ms_ssim": metrics.ms_ssim(render, truth),
-        "flip": difference.double().mean((1, 2)),
-        "lpips_vgg": lpips_vgg(render, truth),
-        "psnr_foreground": metrics.psnr(render, truth, foreground),
-        "psnr_seen": metrics.psnr(render, truth, seen),
-        "ssim_seen": metrics.ssim(render, truth, seen),
-        "flip_seen": metrics.masked_mean(difference.double(), seen),
-        "sharpness_ratio": metrics.sharpness_ratio(render, truth, foreground),
-        "sharpness_ratio_seen": metrics.sharpness_ratio(render, truth, seen),
-    }
+    pair = ImagePair(
+        render=image.cpu(),
+        truth=view.image[None].float() / 255,
+        foreground=view.foreground[None],
+        seen=view.seen[None],
+    )
     return Comparison(
         view=view,
-        render=(render[0].clamp(0, 1) * 255).round().to(torch.uint8),
-        difference=difference[0],
-        scores={name: float(value) for name, value in scores.items()},
+        render=(pair.render[0].clamp(0, 1) * 255).round().to(torch.uint8),
+        difference=pair.flip_map[0],
+        scores={name: float(values) for name, values in scores(pair).items()},
     )
 
 

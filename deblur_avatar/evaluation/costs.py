@@ -44,14 +44,14 @@ def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
     }
 
 
-def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> dict[str, Any]:
-    """A timeline whose points say after how many seconds of training each avatar was kept.
+def with_seconds(curve: Mapping[str, Any], folder: Path, run: RunParams) -> dict[str, Any]:
+    """A learning curve whose points say after how many seconds of training each avatar was kept.
 
     They count from the run's first iteration over its three stages, the warm-up in full although
     methods may share it; what writing snapshots took is not in them.
 
     Raises:
-        ArtifactError: if a stage's measurement is missing or damaged, or not of this timeline.
+        ArtifactError: if a stage's measurement is missing or damaged, or not of this curve.
     """
     at: dict[tuple[str, int], float] = {}
     ends: dict[str, float] = {}  # of stages that kept nothing on the way
@@ -67,16 +67,16 @@ def with_seconds(timeline: Mapping[str, Any], folder: Path, run: RunParams) -> d
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from error
     points = []
-    for point in timeline["points"]:
+    for point in curve["points"]:
         stage, iteration = point["stage"], point["iteration"]
         seconds = at.get((stage, iteration), ends.get(stage))
         if seconds is None:
             raise ArtifactError(
                 f"{cost_file(folder, stage, run)} knows no snapshot of iteration {iteration}; it "
-                "is of another run than the timeline: run `dvc repro`"
+                "is of another run than the learning curve: run `dvc repro`"
             )
         points.append({"stage": stage, "iteration": iteration, "seconds": seconds} | point)
-    return {**timeline, "points": points}
+    return {**curve, "points": points}
 
 
 def cost_file(folder: Path, stage: str, run: RunParams) -> Path:

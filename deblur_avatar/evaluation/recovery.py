@@ -1,7 +1,8 @@
-"""What a method's numbers mean beside those of other methods on the same scene.
+"""Recovery and the gap to the ceiling: a method's numbers beside those of the others on its scene.
 
-Conventions. A *result* is the content of one metrics file, `metrics/<scene>/<method>.json`: nested
-dictionaries of numbers, null for what was not measured.
+Recovery is the share of what blur costs that a method wins back. Conventions. A *result* is the
+content of one metrics file, `metrics/<scene>/<method>.json`: nested dictionaries of numbers, null
+for what was not measured.
 """
 
 import math
@@ -9,41 +10,53 @@ from collections.abc import Iterable, Mapping
 from statistics import stdev
 from typing import Any
 
-FLOOR, BOUND, CEILING = "agnostic", "oracle", "ceiling"
+from deblur_avatar.evaluation.metrics import HEADLINE, Metric, recovered_metrics
 
-# Metrics that recovery is given for: 1 if larger is better, and the least cost of blur (oracle
-# against agnostic) below which a share of it means nothing: one seed differs from the next by as
-# much.
-RECOVERED = {
-    "psnr": (1, 0.5),
-    "psnr_seen": (1, 0.5),
-    "ssim": (1, 0.001),
-    "flip": (-1, 0.001),
-    "lpips_vgg": (-1, 0.001),
-}
+FLOOR, BOUND, CEILING = "agnostic", "oracle", "ceiling"
 
 Result = dict[str, Any]
 
 
+def share_won_back(value: float | None, floor: float | None, bound: float | None) -> float | None:
+    """(value - floor) / (bound - floor): 0 is as good as the floor, 1 as good as the bound.
+
+    None where something was not measured or the two are equal.
+    """
+    if value is None or floor is None or bound is None or bound == floor:
+        return None
+    return (value - floor) / (bound - floor)
+
+
 def recovery(
-    value: float | None, agnostic: float | None, oracle: float | None, sign: int, least: float
+    value: float | None, agnostic: float | None, oracle: float | None, row: Metric
 ) -> float | None:
-    """Share of what blur costs that a method wins back: (value - agnostic) / (oracle - agnostic).
+    """Share of what blur costs that a method wins back, in one metric.
 
     Args:
         value: the method's.
         agnostic: of the avatar that ignores blur.
         oracle: of the avatar that saw sharp frames.
-        sign: 1 if larger is better, -1 if smaller is.
-        least: if blur costs less than this, no share of it is given.
+        row: the metric; its direction and the least cost of blur are in the table.
 
     Returns:
         0 for as good as agnostic, 1 for as good as the oracle; None where something was not
-        measured or blur costs nothing.
+        measured or blur costs less than `row.min_blur_cost`.
     """
-    if value is None or agnostic is None or oracle is None or sign * (oracle - agnostic) < least:
+    if row.min_blur_cost is None or agnostic is None or oracle is None:
         return None
-    return (value - agnostic) / (oracle - agnostic)
+    if row.better * (oracle - agnostic) < row.min_blur_cost:
+        return None
+    return share_won_back(value, agnostic, oracle)
+
+
+def nothing_recovered() -> dict[str, None]:
+    """The entry `recovery` of a metrics file before methods are compared."""
+    return dict.fromkeys(row.name for row in _in_file_order())
+
+
+def _in_file_order() -> list[Metric]:
+    """Decibels first, as metrics files have always had them: equal content is equal bytes."""
+    return sorted(recovered_metrics(), key=lambda row: row.unit != "dB")
 
 
 def compared(results: Mapping[str, Result]) -> dict[str, Result]:
@@ -59,12 +72,12 @@ def compared(results: Mapping[str, Result]) -> dict[str, Result]:
     filled = {}
     for method, result in results.items():
         shares = {
-            metric: recovery(
-                image(method, metric), image(FLOOR, metric), image(BOUND, metric), sign, least
+            row.name: recovery(
+                image(method, row.name), image(FLOOR, row.name), image(BOUND, row.name), row
             )
-            for metric, (sign, least) in RECOVERED.items()
+            for row in _in_file_order()
         }
-        best, own = image(CEILING, "psnr"), image(method, "psnr")
+        best, own = image(CEILING, HEADLINE), image(method, HEADLINE)
         gap = None if best is None or own is None else best - own
         filled[method] = {**result, "recovery": shares, "gap_to_ceiling_db": gap}
     return filled
@@ -86,21 +99,25 @@ def pooled(scenes: Mapping[str, Mapping[str, Result]], method: str) -> Result:
     return compared(means)[method] | {"gap_to_ceiling_db": gap, "scenes": list(own)}
 
 
-def averaged(results: Iterable[Result]) -> Result:
-    """Mean of each number over several scenes, over those where it was measured.
+def averaged(results: Iterable[Result], *, complete: bool = False) -> Result:
+    """Mean of each number over several results, over those where it was measured.
 
-    Words and lists are kept where all scenes agree on them and left out otherwise.
+    Words, lists and truth values are kept where all agree on them and left out otherwise.
+
+    Args:
+        results: of several scenes, seeds or draws.
+        complete: a number that one of them could not measure has no mean.
     """
     every = list(results)
     mean: Result = {}
     for key in dict.fromkeys(key for result in every for key in result):
         values = [result[key] for result in every if result.get(key) is not None]
         if values and all(isinstance(value, dict) for value in values):
-            mean[key] = averaged(values)
-        elif values and all(_is_number(value) for value in values):
-            mean[key] = sum(values) / len(values)
-        elif not values:
+            mean[key] = averaged(values, complete=complete)
+        elif not values or (complete and len(values) < len(every)):
             mean[key] = None
+        elif all(_is_number(value) for value in values):
+            mean[key] = sum(values) / len(values)
         elif all(value == values[0] for value in values):
             mean[key] = values[0]
     return mean

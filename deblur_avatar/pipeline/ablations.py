@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from deblur_avatar import run
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
@@ -21,26 +19,25 @@ from deblur_avatar.evaluation.recovery import (
     compared,
     spread,
 )
-from deblur_avatar.pipeline.report import (
-    chart_files,
-    read_results,
-    read_timelines,
-)
+from deblur_avatar.pipeline.report import read_learning_curves, read_results
+from deblur_avatar.reporting.charts import chart_files
+from deblur_avatar.reporting.page import render_page
 from deblur_avatar.reporting.results_table import (
-    DRAWING,
-    FLIP,
     GAUSSIANS,
-    LPIPS,
+    MEMORY,
     NOT_MEASURED,
     ON_DISK,
-    PSNR,
-    RECOVERY,
-    SEEN,
-    SSIM,
+    RENDERING,
+    SIZE,
     TO_PAPER,
     TRAINING,
+    Cell,
     Column,
+    Table,
+    image_columns,
     look_up,
+    markdown,
+    recovery_columns,
     shown_with_spread,
 )
 from deblur_avatar.reporting.speed_accuracy import (
@@ -50,13 +47,10 @@ from deblur_avatar.reporting.speed_accuracy import (
     with_speed,
 )
 
-TEMPLATE = "ablations.html.jinja"
-MEMORY = Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1)
-SIZE = Column(("model", "megabytes"), "size", "MB", 1, -1)
+TEMPLATE = Path(__file__).parent / "ablations.html.jinja"
 NEVER = "never"  # as good as `paper` is in the end
-SSIM_RANGE_2 = Column(("image", "ssim_range2"), "SSIM (range 2)", "", 4, 1)
-COLUMNS = (PSNR, SSIM_RANGE_2, SSIM, LPIPS, FLIP, SEEN, RECOVERY, TRAINING, TO_PAPER, DRAWING,
-           MEMORY, GAUSSIANS, SIZE, ON_DISK)  # fmt: skip
+IMAGE = ("psnr", "ssim_range2", "ssim", "lpips_vgg", "flip", "psnr_seen")  # in the paper's order
+PAPER = tuple(Column((), f"paper*: {metric}", kind="other") for metric in ("PSNR", "SSIM", "LPIPS"))
 
 # arXiv 2501.13335: means over six scenes (ablations), scene 377 (number of virtual poses); PSNR dB,
 # SSIM, LPIPS x 1000.
@@ -155,7 +149,7 @@ class _Seeds:
     results: Mapping[str, Sequence[Result]]  # one a seed
     means: Mapping[str, Result]
     spreads: Mapping[str, Result]
-    timelines: Mapping[str, Result]  # means
+    curves: Mapping[str, Result]  # means
 
 
 def report_ablations(
@@ -169,16 +163,16 @@ def report_ablations(
     """
     seeds = _gathered(folders, runs, scene)
     about = f"Scene {scene}, schedule {schedule}, novel views, {seeds.count} seeds: mean ± spread."
-    tables = [table for section in SECTIONS if len((table := _table(section, seeds))[1]) > 1]
-    text = f"{about} Grey columns: the paper's own numbers, of another data set.\n\n"
-    text += "\n".join(_markdown(section, table) for section, table in tables)
+    tables = [table for section in SECTIONS if (table := _table(section, seeds)).rows]
+    text = f"{about} Columns marked paper*: the paper's own numbers, of another data set.\n\n"
+    text += "\n".join(f"### {t.title}\n\n{t.note}\n\n{markdown(t)}" for t in tables)
     rows = rows_of_methods({scene: seeds.means}, {scene: seeds.spreads})
     charts = chart_files("speed_accuracy", rows)
-    charts |= chart_files("quality_over_time", rows_over_time({scene: seeds.timelines}))
+    charts |= chart_files("quality_over_time", rows_over_time({scene: seeds.curves}))
     pictures = {Path(f).stem: charts[f].decode() for f in charts if f.endswith(".svg")}
-    return AblationReport(
-        _page(about, tables, pictures), text, _summary(seeds, scene, schedule), charts
-    )
+    quiet = (NOT_MEASURED, NEVER)
+    page = render_page(TEMPLATE, about=about, tables=tables, quiet=quiet, charts=pictures)
+    return AblationReport(page, text, _summary(seeds, scene, schedule), charts)
 
 
 def _gathered(folders: Sequence[Path], runs: Mapping[str, RunParams], scene: str) -> _Seeds:
@@ -191,61 +185,65 @@ def _gathered(folders: Sequence[Path], runs: Mapping[str, RunParams], scene: str
             count += 1
             for method, result in compared(results).items():
                 every.setdefault(method, []).append(result)
-            for method, timeline in read_timelines(folder / "metrics", runs).get(scene, {}).items():
-                kept.setdefault(method, []).append(timeline)
+            curves = read_learning_curves(folder / "metrics", runs).get(scene, {})
+            for method, curve in curves.items():
+                kept.setdefault(method, []).append(curve)
     if not count:
         raise ArtifactError(
             f"no results of {scene} in {', '.join(map(str, folders))}; run `dvc repro` there"
         )
-    timelines = {method: _mean_timeline(method, found) for method, found in kept.items()}
+    mean_curves = {method: _mean_curve(method, found) for method, found in kept.items()}
     means = {method: averaged(results) for method, results in every.items()}
     spreads = {method: spread(results) for method, results in every.items()}
-    return _Seeds(count, every, with_speed(means, timelines), spreads, timelines)
+    return _Seeds(count, every, with_speed(means, mean_curves), spreads, mean_curves)
 
 
-def _mean_timeline(method: str, timelines: Sequence[Result]) -> Result:
+def _mean_curve(method: str, curves: Sequence[Result]) -> Result:
     """Means of what was measured at the same moments of several seeds."""
-    moments = [[(p["stage"], p["iteration"]) for p in t["points"]] for t in timelines]
+    moments = [[(p["stage"], p["iteration"]) for p in t["points"]] for t in curves]
     if any(other != moments[0] for other in moments):
         raise ArtifactError(
             f"{method} was looked at after other iterations from seed to seed; run `dvc repro`"
         )
-    points = zip(*(timeline["points"] for timeline in timelines), strict=True)
+    points = zip(*(curve["points"] for curve in curves), strict=True)
     means = [{**averaged(same), "iteration": same[0]["iteration"]} for same in points]
-    return {**averaged(timelines), "points": means}
+    return {**averaged(curves), "points": means}
 
 
-def _table(section: Section, seeds: _Seeds) -> tuple[Section, list[list[str]]]:
-    """Heads and rows of text; methods that nobody has run are left out."""
-    heads = ["", *(f"{c.label} {c.unit}".strip() for c in COLUMNS)]
-    if section.paper:
-        heads += ["paper*: PSNR", "paper*: SSIM", "paper*: LPIPS"]
-    rows = [heads]
+def _columns() -> tuple[Column, ...]:
+    cost = (TRAINING, TO_PAPER, RENDERING, MEMORY, GAUSSIANS, SIZE, ON_DISK)
+    return (*image_columns("image", IMAGE), recovery_columns()[0], *cost)
+
+
+def _table(section: Section, seeds: _Seeds) -> Table:
+    """One section; methods that nobody has run are left out.
+
+    Nothing is ranked: most rows are apart by less than they scatter.
+    """
+    rows = []
     for method, label in section.rows.items():
         if method in seeds.results:
             cells = [
-                shown_with_spread(mean, scatter, column, _missing(seeds, method, column))
+                Cell(shown_with_spread(mean, scatter, column, _missing(seeds, method, column)))
                 for column, mean, scatter in _measured(seeds, method)
             ]
-            rows.append([label, *cells, *(section.paper.get(method, ()))])
-    return section, rows
+            if section.paper:
+                paper = section.paper.get(method, ("",) * len(PAPER))
+                cells += [Cell(text, kind="other") for text in paper]
+            rows.append((label, tuple(cells)))
+    columns = (*_columns(), *(PAPER if section.paper else ()))
+    return Table(columns, tuple(rows), title=section.title, note=section.note)
 
 
 def _measured(seeds: _Seeds, method: str) -> list[tuple[Column, float | None, float | None]]:
     """Each column's mean and spread over results of one method."""
     mean, scatter = seeds.means[method], seeds.spreads[method]
-    return [(c, look_up(mean, c.path), look_up(scatter, c.path)) for c in COLUMNS]
+    return [(c, look_up(mean, c.path), look_up(scatter, c.path)) for c in _columns()]
 
 
 def _missing(seeds: _Seeds, method: str, column: Column) -> str:
-    watched = column == TO_PAPER and {method, MEASURE} <= seeds.timelines.keys()
+    watched = column == TO_PAPER and {method, MEASURE} <= seeds.curves.keys()
     return NEVER if watched else NOT_MEASURED
-
-
-def _markdown(section: Section, rows: list[list[str]]) -> str:
-    lines = [rows[0], ["---", *["---:"] * (len(rows[0]) - 1)], *rows[1:]]
-    table = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return f"### {section.title}\n\n{section.note}\n\n{table}"
 
 
 def _summary(seeds: _Seeds, scene: str, schedule: str) -> dict[str, Any]:
@@ -255,13 +253,3 @@ def _summary(seeds: _Seeds, scene: str, schedule: str) -> dict[str, Any]:
         for column, mean, scatter in _measured(seeds, method):
             content[method]["_".join(column.path)] = {"mean": mean, "spread": scatter}
     return {"scene": scene, "schedule": schedule, "methods": content}
-
-
-def _page(
-    about: str, tables: list[tuple[Section, list[list[str]]]], charts: Mapping[str, str]
-) -> str:
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text())
-    return template.render(about=about, tables=tables, columns=len(COLUMNS), charts=charts) + "\n"

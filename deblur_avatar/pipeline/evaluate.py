@@ -24,10 +24,8 @@ from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
-from deblur_avatar.evaluation.recovery import RECOVERED
-from deblur_avatar.evaluation.truth_views import (
-    truth_views,
-)
+from deblur_avatar.evaluation.recovery import nothing_recovered
+from deblur_avatar.evaluation.truth_views import truth_views
 
 logger = logging.getLogger(__name__)
 
@@ -81,7 +79,7 @@ def evaluate(
         "motion": _motion(observations, reference, motion, true),
         "initial": _initial(observations, true),
         "reblur": reblur(model, observations, motion),
-        "recovery": dict.fromkeys(RECOVERED),
+        "recovery": nothing_recovered(),
         "gap_to_ceiling_db": None,
         "model": _size(avatar, motion, observations.train),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},

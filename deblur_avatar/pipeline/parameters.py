@@ -1,5 +1,6 @@
 """The whole of `params.yaml`, section by section, checked before any work."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,15 @@ class MethodParams(Params):
     fusion: FusionParams
 
 
+# Folders below `metrics/` that belong to stages; beside them lies one folder a scene.
+METRICS_OF_STAGES = frozenset(
+    {
+        "blur", "check", "cost", "fusion", "predeblur", "preprocess", "score_blur",
+        "score_predeblur", "timeline", "trajectory", "warmup",
+    }
+)  # fmt: skip
+
+
 def check_parameters(path: Path) -> None:
     """Check a whole parameter file before any work: every section, and every name in it.
 
@@ -75,10 +85,23 @@ def check_parameters(path: Path) -> None:
         for name in section_of(content, path, section, dict):
             section_of(content, path, f"{section}.{name}", kind)
     section_of(content, path, f"schedules.{section_of(content, path, 'schedule', str)}", dict)
+    _check_scenes(content, path)
+    _check_runs(content, path)
+
+
+def _check_scenes(content: Mapping[str, Any], path: Path) -> None:
+    for name in content["scenes"].keys() & METRICS_OF_STAGES:
+        raise ConfigError(
+            f"{path}: scenes.{name}: metrics/{name} is where a stage writes; give the scene "
+            "another name"
+        )
     checked = section_of(content, path, "checks", list[str])
     for section, names in (("predeblur", content["predeblur"]), ("checks", checked)):
         for name in set(names) - content["scenes"].keys():
             raise ConfigError(f"{path}: {section}: there is no scene {name!r}")
+
+
+def _check_runs(content: Mapping[str, Any], path: Path) -> None:
     named = {"scene": "scenes", "start": "starts", "method": "methods"}
     for section in ("warmups", "runs"):
         for name, entry in content[section].items():

@@ -1,9 +1,9 @@
-"""All results on one page, as one summary and as one table.
+"""The report: all results on one page, as one summary and as one table.
 
-Works on whatever scenes and methods there are. Equal results give equal bytes: no dates, no hosts.
+Works on whatever scenes and methods there are, and from metrics alone: strips of pictures that are
+not on this machine are named on the page. Equal results give equal bytes: no dates, no hosts.
 """
 
-import json
 import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import jinja2
 import numpy as np
 
 from deblur_avatar import run
@@ -24,50 +23,36 @@ from deblur_avatar.evaluation.recovery import (
     spread,
 )
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
+from deblur_avatar.reporting.charts import CHARTS, chart_files
+from deblur_avatar.reporting.page import data_uri, picture_uri, render_page
 from deblur_avatar.reporting.picture_strips import (
+    LEFT_OUT,
     Picture,
     Strip,
-    data_uri,
-    picture_uri,
     strip_sheet,
     strips_of_scene,
 )
-from deblur_avatar.reporting.report_tables import (
-    NOT_KNOWN,
-    Titled,
-    facts_of,
-    tables_of,
-)
+from deblur_avatar.reporting.report_tables import NOT_KNOWN, facts_of, tables_of
 from deblur_avatar.reporting.results_table import (
     BOUNDS,
     NOT_MEASURED,
     Table,
     look_up,
     markdown,
+    method_order,
     plain,
     results_table,
     short_columns,
 )
-from deblur_avatar.reporting.speed_accuracy import (
-    OVER_TIME,
-    SPEED_ACCURACY,
-    Row,
-    chart,
-    drawn,
-    drawn_png,
-    rows_of_methods,
-    rows_over_time,
-    with_speed,
-)
+from deblur_avatar.reporting.speed_accuracy import rows_of_methods, rows_over_time, with_speed
 
 logger = logging.getLogger(__name__)
 
-TEMPLATE = "report.html.jinja"
+TEMPLATE = Path(__file__).parent / "report.html.jinja"
 STRIPS = 4  # of each scene on the page
 README_STRIPS = 2
 REPEATS = 3  # scenes that saw the same methods, before a mean over them is shown
 MAX_VIDEO = 1_500_000  # bytes; a longer one stays out of the page
-CHARTS = {"speed_accuracy": SPEED_ACCURACY, "quality_over_time": OVER_TIME}  # and their templates
 # What `dvc metrics diff` and `dvc exp show` compare, of each scene and method.
 DECLARED = {
     "psnr": ("image", "psnr"),
@@ -75,7 +60,7 @@ DECLARED = {
     "reblur_psnr": ("reblur", "psnr"),
     "train_s": ("cost", "train_s"),
 }
-MOMENT = {"stage", "iteration"}  # what each point of a timeline has at least
+MOMENT = {"stage", "iteration"}  # what each point of a learning curve has at least
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
 Results = dict[str, dict[str, Any]]  # by method
@@ -95,8 +80,8 @@ class Report:
     def save(self, folder: Path) -> None:
         """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png` and the charts.
 
-        A chart is its rows (`.json`, for `dvc plots show`), its specification (`.vl.json`) and
-        its picture (`.svg`, `.png`); without rows it is an empty list alone.
+        A chart is its rows (`.json`, for `dvc plots show`) and its picture (`.svg`, `.png`);
+        without rows it is an empty list alone.
 
         Raises:
             ArtifactError: if the disk refuses.
@@ -128,19 +113,20 @@ def make_report(
         ArtifactError: if a file is damaged; names it.
     """
     shown = {name: animations / name for name in animated}
-    timelines = read_timelines(metrics, runs)
+    curves = read_learning_curves(metrics, runs)
     scenes = {
-        scene: with_speed(compared(results), timelines.get(scene, {}))
+        scene: with_speed(compared(results), curves.get(scene, {}))
         for scene, results in read_results(metrics, runs).items()
     }
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
     charts = chart_files("speed_accuracy", rows_of_methods(scenes))
-    charts |= chart_files("quality_over_time", rows_over_time(timelines))
+    charts |= chart_files("quality_over_time", rows_over_time(curves))
     main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     repeated = _repeated(scenes)
     if repeated is not None:
-        main = {repeated.title: repeated.table} | main
-    page = _page(
+        main = {repeated.title: repeated} | main
+    page = render_page(
+        TEMPLATE,
         headline=_headline(scenes),
         machine=_machine(scenes),
         charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
@@ -153,6 +139,7 @@ def make_report(
                     _read(metrics / "blur" / f"{scene}.json"),
                     _read(metrics / "preprocess" / f"{scene}.json"),
                 ),
+                "without_pictures": _without_pictures(scene, results, pictures),
                 "strips": [_on_page(strip) for strip in strips[scene]],
                 "tables": tables_of(results, _read(metrics / "preprocess" / f"{scene}.json")),
                 "animations": _animations(scene, results, shown),
@@ -181,19 +168,7 @@ def declared(scenes: Mapping[str, Results]) -> dict[str, Any]:
     }
 
 
-def chart_files(name: str, rows: list[Row]) -> dict[str, bytes]:
-    """What is written of one chart, by file name: rows and, if there are any, pictures of them."""
-    content = {f"{name}.json": (json.dumps(rows, indent=1) + "\n").encode()}
-    if rows:
-        specification = chart(CHARTS[name], rows)
-        text = json.dumps(specification, indent=1, ensure_ascii=False) + "\n"
-        content[f"{name}.vl.json"] = text.encode()
-        content[f"{name}.svg"] = drawn(specification).encode()
-        content[f"{name}.png"] = drawn_png(specification)
-    return content
-
-
-def _repeated(scenes: Mapping[str, Results]) -> Titled | None:
+def _repeated(scenes: Mapping[str, Results]) -> Table | None:
     """Means and deviations over scenes, where at least `REPEATS` saw the same methods."""
     if len(scenes) < REPEATS or len({frozenset(results) for results in scenes.values()}) > 1:
         return None
@@ -202,8 +177,8 @@ def _repeated(scenes: Mapping[str, Results]) -> Titled | None:
     deviations = {
         method: spread([results[method] for results in scenes.values()]) for method in methods
     }
-    table = results_table(means, short_columns(means), spreads=deviations)
-    return Titled(f"Mean over {len(scenes)} scenes \u00b1 standard deviation", table)
+    title = f"Mean over {len(scenes)} scenes \u00b1 standard deviation"
+    return results_table(means, short_columns(means), spreads=deviations, title=title)
 
 
 def read_results(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
@@ -226,8 +201,8 @@ def read_results(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Resu
     return dict(sorted(scenes.items(), key=lambda item: ("ceiling" not in item[1], item[0])))
 
 
-def read_timelines(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
-    """What the stage `timeline` measured of these runs, by scene and method, with seconds.
+def read_learning_curves(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:
+    """The learning curves of these runs, by scene and method, with seconds.
 
     Raises:
         ArtifactError: if a file is damaged.
@@ -243,8 +218,8 @@ def read_timelines(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Re
                     f"{path} is damaged: its points must each have {', '.join(sorted(MOMENT))}; "
                     "run `dvc repro`"
                 )
-            timeline = with_seconds(content, metrics / "cost", run_params)
-            found.setdefault(run_params.scene, {})[run_params.method] = timeline
+            curve = with_seconds(content, metrics / "cost", run_params)
+            found.setdefault(run_params.scene, {})[run_params.method] = curve
     return found
 
 
@@ -268,6 +243,12 @@ def _summary(scenes: Mapping[str, Results]) -> dict[str, Any]:
 def _strips(scene: str, results: Results, pictures: Path) -> list[Strip]:
     folders = {method: pictures / f"{scene}-{method}" for method in results}
     return strips_of_scene({m: f for m, f in folders.items() if f.is_dir()}, STRIPS)
+
+
+def _without_pictures(scene: str, results: Results, pictures: Path) -> list[str]:
+    """Methods whose pictures are not on this machine, though their numbers are."""
+    shown = [method for method in method_order(results) if method not in LEFT_OUT]
+    return [method for method in shown if not (pictures / f"{scene}-{method}").is_dir()]
 
 
 def _readme_strip(strips: Mapping[str, Sequence[Strip]]) -> Picture | None:
@@ -355,15 +336,6 @@ def _on_page(strip: Strip) -> dict[str, Any]:
             for label, picture in strip.pictures.items()
         ],
     }  # fmt: skip
-
-
-def _page(**content: Any) -> str:
-    folder = Path(__file__).parent
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string((folder / TEMPLATE).read_text())
-    return template.render(**content) + "\n"
 
 
 def _log(main: Mapping[str, Table]) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import jinja2
 import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
@@ -26,11 +25,12 @@ from deblur_avatar.evaluation.scene_measures import (
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.contact_sheets import contact_sheet
-from deblur_avatar.reporting.picture_strips import picture_uri
+from deblur_avatar.reporting.page import picture_uri, render_page
+from deblur_avatar.reporting.results_table import NOT_MEASURED, Cell, Column, Table
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
-TEMPLATE = "check.html.jinja"
+TEMPLATE = Path(__file__).parent / "check.html.jinja"
 FRAMES, COLUMNS, HEIGHT = 7, 4, 380  # pictures; pictures a row; pixels
 MASK, BODY, MIDDLE, LEFT, RIGHT = (
     (255, 210, 40), (70, 150, 255), (255, 255, 255), (255, 90, 80), (90, 220, 110),
@@ -52,11 +52,21 @@ def draw_check(observations: Observations) -> Picture:
 
 def check_page(scene: str, content: Mapping[str, Any], sheet: Picture) -> str:
     """The findings and the sheet on one page that loads nothing."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string((Path(__file__).parent / TEMPLATE).read_text())
-    return template.render(scene=scene, check=content, sheet=picture_uri(sheet)) + "\n"
+    findings: Mapping[str, Any] = content["findings"]
+    table = Table(
+        columns=(Column((), ""), Column((), "verdict", kind="text"),
+                 Column((), "what to do", kind="text")),
+        rows=tuple((name.replace("_", " "), _finding(f)) for name, f in findings.items()),
+        of="finding",
+    )  # fmt: skip
+    sheet_uri = picture_uri(sheet)
+    return render_page(TEMPLATE, scene=scene, check=content, findings=table, sheet=sheet_uri)
+
+
+def _finding(finding: Mapping[str, Any]) -> tuple[Cell, ...]:
+    value, verdict = finding["value"], finding["verdict"]
+    text = NOT_MEASURED if value is None else f"{value:.3g} {finding['unit']}"
+    return Cell(text), Cell(verdict, kind=f"text {verdict}"), Cell(finding["advice"], kind="text")
 
 
 def _overlay(observations: Observations, position: int) -> Picture:

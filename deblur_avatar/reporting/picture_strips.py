@@ -6,7 +6,6 @@ that the training camera took at that time. Footage without a truth has no `trut
 of the training camera.
 """
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, Validat
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.contact_sheets import contact_sheet
-from deblur_avatar.imaging.picture_files import jpeg_bytes, read_picture
+from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.reporting.results_table import method_order
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
@@ -89,16 +88,6 @@ def strip_sheet(strips: Sequence[Strip]) -> Picture:
     labels = [label for strip in strips for label in strip.pictures]
     pictures = [picture for strip in strips for picture in strip.pictures.values()]
     return contact_sheet(pictures, len(strips[0].pictures), labels)
-
-
-def data_uri(content: bytes, kind: str) -> str:
-    """A file as the address of itself, for a page that loads nothing."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
-
-
-def picture_uri(picture: Picture) -> str:
-    """A picture as a JPEG data address."""
-    return data_uri(jpeg_bytes(picture), "image/jpeg")
 
 
 def _views(folder: Path) -> dict[tuple[str, int], _View]:

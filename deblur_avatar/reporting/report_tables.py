@@ -5,105 +5,112 @@ the stages of these names. A table whose numbers nobody measured is left out.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
+from deblur_avatar.evaluation.metrics import HEADLINE, shown_metrics
 from deblur_avatar.reporting.results_table import (
     BOUNDS,
-    COST,
-    EXPLAINED,
-    LPIPS,
-    NOVEL_VIEW,
-    PSNR,
+    GAUSSIANS,
+    HELD_OUT_BLUR,
+    MEMORY,
+    ON_DISK,
+    RENDERING,
+    SIZE,
     START,
+    TO_CEILING,
+    TO_PAPER,
+    TRAINING,
     Column,
     Table,
+    image_columns,
     look_up,
     measured,
+    recovery_columns,
     results_table,
 )
 
 NOT_KNOWN = "not known"
 
-NOVEL_POSE = tuple(
-    Column(("novel_pose", metric), label, unit, digits, better)
-    for metric, label, unit, digits, better in (
-        ("psnr", "PSNR", "dB", 2, 1), ("ssim", "SSIM", "", 3, 1), ("flip", "FLIP", "", 3, -1),
-        ("psnr_foreground", "PSNR person", "dB", 2, 1), ("psnr_seen", "PSNR seen", "dB", 2, 1),
-        ("flip_seen", "FLIP seen", "", 3, -1),
-    )
+COST = (
+    TRAINING, TO_PAPER, RENDERING, MEMORY, GAUSSIANS, SIZE, ON_DISK,
+    Column(("model", "virtual_poses_mean"), "virtual poses", "a frame", 1),
+    Column(("run", "iterations"), "iterations", "", 0),
 )  # fmt: skip
-MOTION = (
+MOTION_ERRORS = (
     Column(("motion", "joint_error_mm"), "joints", "mm", 1, -1),
     Column(("motion", "surface_error_mm"), "surface", "mm", 1, -1),
     Column(("motion", "joint_error_deg"), "joint angles", "degrees", 2, -1),
     Column(("motion", "travel_error_mm"), "travel in exposure", "mm", 1, -1),
     Column(("motion", "direction_accuracy"), "right direction", "%", 0, 1, factor=100.0),
-    EXPLAINED,
 )
-WITHOUT_TRUTH = (EXPLAINED, Column(("reblur", "psnr_train"), "those trained on", "dB", 2, 1))
+REBLUR = (HELD_OUT_BLUR, Column(("reblur", "psnr_train"), "those trained on", "dB", 2, 1))
 FIT = (
     Column(("reprojection_px",), "landmarks, median", "pixels", 1),
     Column(("iou",), "silhouette overlap", "IoU", 3),
 )
 
 
-@dataclass(frozen=True)
-class Titled:
-    """A table with what stands above and below it."""
-
-    title: str
-    table: Table
-    note: str = ""
-
-
 def tables_of(
     results: Mapping[str, Mapping[str, Any]], preprocess: Mapping[str, Any]
-) -> list[Titled]:
+) -> list[Table]:
     """The tables of one scene, in the order of the page."""
-    tables = [_novel_views(results) if measured(results, [PSNR]) else _explained(results)]
-    if measured(results, NOVEL_POSE):
+    tables = [_novel_views(results) or _held_out_blur(results)]
+    novel_pose = measured(results, _views("novel_pose"))
+    if novel_pose:
         note = "The last part of the clip, which no method was trained on."
-        table = results_table(results, measured(results, NOVEL_POSE))
-        tables.append(Titled("Novel poses", table, note))
+        tables.append(results_table(results, novel_pose, title="Novel poses", note=note))
     cameras = _camera_columns(results)
     if cameras:
         note = "PSNR over all pixels, and over the person."
-        tables.append(Titled("Camera by camera", results_table(results, cameras), note))
-    if measured(results, MOTION[:-1]):
-        table = results_table(
-            _with_start(results), MOTION, missing=NOT_KNOWN, bounds=(*BOUNDS, START)
-        )
-        note = "In italics besides: the poses that every method starts from."
-        tables.append(Titled("Motion against the truth", table, note))
-    if measured(results, COST):
-        note = "Training counts the warm-up in full, though methods may share it."
-        table = results_table(results, measured(results, COST), missing=NOT_KNOWN)
-        tables.append(Titled("Cost", table, note))
-    fit = {name: entry for name, entry in (preprocess.get("fit") or {}).items() if entry}
-    if fit:
+        tables.append(results_table(results, cameras, title="Camera by camera", note=note))
+    if measured(results, MOTION_ERRORS):
         tables.append(
-            Titled(
-                "How well the estimated body explains each camera",
-                results_table(fit, FIT, of="camera"),
-                "Estimated from the blurred frames.",
+            results_table(
+                _with_start(results),
+                (*MOTION_ERRORS, HELD_OUT_BLUR),
+                missing=NOT_KNOWN,
+                bounds=(*BOUNDS, START),
+                title="Motion against the truth",
+                note="In italics besides: the poses that every method starts from.",
             )
         )
+    cost = measured(results, COST)
+    if cost:
+        note = "Training counts the warm-up in full, though methods may share it."
+        tables.append(results_table(results, cost, missing=NOT_KNOWN, title="Cost", note=note))
+    fit = {name: entry for name, entry in (preprocess.get("fit") or {}).items() if entry}
+    if fit:
+        title = "How well the estimated body explains each camera"
+        note = "Estimated from the blurred frames."
+        tables.append(results_table(fit, FIT, of="camera", title=title, note=note))
     return tables
 
 
-def _novel_views(results: Mapping[str, Mapping[str, Any]]) -> Titled:
+def _views(group: str) -> tuple[Column, ...]:
+    return image_columns(group, shown_metrics("page", "short"))
+
+
+def _novel_views(results: Mapping[str, Mapping[str, Any]]) -> Table | None:
+    """Against the truth; None for footage without one."""
+    if not measured(results, image_columns("image", [HEADLINE])):
+        return None
     # Perceptual distance stays even where nobody could measure it: readers look for it.
-    views = tuple(c for c in NOVEL_VIEW if c is LPIPS or measured(results, [c]))
-    return Titled("Novel views", results_table(results, views), _pictures(results))
+    always = image_columns("image", ["lpips_vgg"])
+    columns = [
+        column
+        for column in (*_views("image"), *recovery_columns(), TO_CEILING)
+        if column in always or measured(results, [column])
+    ]
+    return results_table(results, columns, title="Novel views", note=_pictures(results))
 
 
-def _explained(results: Mapping[str, Mapping[str, Any]]) -> Titled:
+def _held_out_blur(results: Mapping[str, Mapping[str, Any]]) -> Table:
     note = (
         "This footage has no sharp truth. Blurred frames that were set aside are compared with "
         "the avatar's renders averaged over the exposure (PSNR)."
     )
-    return Titled("Blurred frames explained", results_table(results, WITHOUT_TRUTH), note)
+    return results_table(results, REBLUR, title="Held-out blurred frames", note=note)
 
 
 def facts_of(blur: Mapping[str, Any], preprocess: Mapping[str, Any]) -> list[str]:
@@ -146,10 +153,11 @@ def _camera_columns(results: Mapping[str, Mapping[str, Any]]) -> list[Column]:
     names = dict.fromkeys(name for r in results.values() for name in r.get("cameras") or {})
     if not 1 < len(names) <= 4:
         return []
+    labels = {HEADLINE: "", "psnr_foreground": ", person"}
     return [
-        Column(("cameras", name, metric), f"{name}{word}", "dB", 2, 1)
+        replace(column, path=("cameras", name, *column.path[1:]), label=f"{name}{label}")
         for name in names
-        for metric, word in (("psnr", ""), ("psnr_foreground", ", person"))
+        for column, label in zip(image_columns("", list(labels)), labels.values(), strict=True)
     ]
 
 

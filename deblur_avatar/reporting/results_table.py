@@ -1,14 +1,16 @@
-"""Results as rows of methods and columns of numbers, the best of each column marked.
+"""Results tables: rows of methods, columns of numbers, the best of each column marked.
 
-Conventions. Results are contents of metrics files with recovery filled in (`comparison`). Rows come
-in the order of the argument: bounds, floor, then methods. Bounds (`ceiling`, `oracle`) saw what a
-method never sees and take no part in the ranking.
+Conventions. Results are contents of metrics files with recovery filled in
+(`evaluation.recovery`). Rows come in the order of the argument: bounds, floor, then methods. Bounds
+(`ceiling`, `oracle`) saw what a method never sees and take no part in the ranking.
 """
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from deblur_avatar.evaluation.metrics import HEADLINE, metric, recovered_metrics, shown_metrics
 
 START = "initial"  # the poses before any fitting
 METHODS = (START, "ceiling", "oracle", "agnostic", "predeblur", "paper", "released", "lean")
@@ -26,6 +28,7 @@ class Column:
     digits: int = 2
     better: int = 0  # 1: larger, -1: smaller, 0: neither
     factor: float = 1.0  # from the unit of the file to the one shown
+    kind: str = ""  # how the page shows it: a CSS class
 
 
 @dataclass(frozen=True)
@@ -33,52 +36,47 @@ class Cell:
     """A number as it is shown; rank 1 is the best of its column, 2 the second best."""
 
     text: str
-    rank: int | None
+    rank: int | None = None
+    kind: str = ""  # how the page shows it: a CSS class
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells by row; `bounds` are the rows that take no part in the ranking."""
+    """Cells by row, with what stands above and below them.
+
+    `bounds` are the rows that take no part in the ranking.
+    """
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]
-    bounds: tuple[str, ...]
-    of: str  # what a row is
+    bounds: tuple[str, ...] = ()
+    of: str = ""  # what a row is
+    title: str = ""
+    note: str = ""
 
 
-PSNR = Column(("image", "psnr"), "PSNR", "dB", 2, 1)
-SSIM = Column(("image", "ssim"), "SSIM", "", 3, 1)
-FLIP = Column(("image", "flip"), "FLIP", "", 3, -1)
-LPIPS = Column(("image", "lpips_vgg"), "LPIPS", "VGG", 3, -1)
-PERSON = Column(("image", "psnr_foreground"), "PSNR person", "dB", 2, 1)
-SEEN = Column(("image", "psnr_seen"), "PSNR seen", "dB", 2, 1)
-FLIP_SEEN = Column(("image", "flip_seen"), "FLIP seen", "", 3, -1)
-RECOVERY = Column(("recovery", "psnr"), "recovery", "of PSNR", 2, 1)
-RECOVERY_SEEN = Column(("recovery", "psnr_seen"), "recovery", "of PSNR seen", 2, 1)
+def image_columns(group: str, names: Sequence[str]) -> tuple[Column, ...]:
+    """Columns of some metrics, of the pictures that a group of a result is about."""
+    rows = [metric(name) for name in names]
+    return tuple(Column((group, r.name), r.title, r.unit, r.decimals, r.better) for r in rows)
+
+
+def recovery_columns() -> tuple[Column, ...]:
+    """Recovery of the metrics in decibels; that of the others is in `summary.json`."""
+    rows = [row for row in recovered_metrics() if row.unit == "dB"]
+    return tuple(Column(("recovery", r.name), "recovery", f"of {r.title}", 2, 1) for r in rows)
+
+
 TO_CEILING = Column(("gap_to_ceiling_db",), "to ceiling", "dB", 2, -1)
 TRAINING = Column(("cost", "train_s"), "training", "s", 0, -1)
-DRAWING = Column(("cost", "render_fps"), "drawing", "frames/s", 0, 1)
-GAUSSIANS = Column(("model", "gaussians"), "Gaussians", "", 0)
-
-NOVEL_VIEW = (
-    PSNR, SSIM, FLIP, LPIPS, PERSON, SEEN, FLIP_SEEN, RECOVERY, RECOVERY_SEEN, TO_CEILING,
-)  # fmt: skip
 TO_PAPER = Column(("speed", "time_to_paper_s"), "until as good as paper", "s", 0, -1)
+RENDERING = Column(("cost", "render_fps"), "rendering", "FPS", 0, 1)
+MEMORY = Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1)
+GAUSSIANS = Column(("model", "gaussians"), "Gaussians", "", 0)
+SIZE = Column(("model", "megabytes"), "size", "MB", 1, -1)
 ON_DISK = Column(("speed", "disk_mb"), "on disk", "MB", 2, -1)
-COST = (
-    TRAINING,
-    TO_PAPER,
-    DRAWING,
-    Column(("cost", "peak_memory_mb"), "memory", "MB", 0, -1),
-    GAUSSIANS,
-    Column(("model", "megabytes"), "size", "MB", 1, -1),
-    ON_DISK,
-    Column(("model", "virtual_poses_mean"), "virtual poses", "a frame", 1),
-    Column(("run", "iterations"), "iterations", "", 0),
-)
-EXPLAINED = Column(("reblur", "psnr"), "blurred frames explained", "dB", 2, 1)
-SHORT = (PSNR, SSIM, FLIP, SEEN, RECOVERY, TO_CEILING, TRAINING, DRAWING, GAUSSIANS)
-WITHOUT_TRUTH = (EXPLAINED, TRAINING, DRAWING, GAUSSIANS)
+HELD_OUT_BLUR = Column(("reblur", "psnr"), "held-out blurred frames", "dB", 2, 1)
+WITHOUT_TRUTH = (HELD_OUT_BLUR, TRAINING, RENDERING, GAUSSIANS)
 
 
 def method_order(methods: Iterable[str]) -> list[str]:
@@ -105,6 +103,8 @@ def results_table(
     bounds: Sequence[str] = BOUNDS,
     of: str = "method",
     spreads: Mapping[str, Mapping[str, Any]] | None = None,
+    title: str = "",
+    note: str = "",
 ) -> Table:
     """Make a table of the methods of one scene, or of their means over several.
 
@@ -115,6 +115,8 @@ def results_table(
         bounds: rows that are not ranked.
         of: what a row is.
         spreads: by method, how far the numbers scatter; shown behind them.
+        title: above the table.
+        note: below it.
     """
     methods = method_order(results)
     contestants = [method for method in methods if method not in bounds]
@@ -131,6 +133,8 @@ def results_table(
         rows=tuple((method, tuple(cells[method])) for method in methods),
         bounds=tuple(method for method in methods if method in bounds),
         of=of,
+        title=title,
+        note=note,
     )
 
 
@@ -147,7 +151,11 @@ def measured(
 
 def short_columns(results: Mapping[str, Mapping[str, Any]]) -> tuple[Column, ...]:
     """The main table's columns: against the truth where there is one."""
-    return measured(results, SHORT if measured(results, [PSNR]) else WITHOUT_TRUTH)
+    if not measured(results, image_columns("image", [HEADLINE])):
+        return measured(results, WITHOUT_TRUTH)
+    views = image_columns("image", shown_metrics("short"))
+    rest = (TO_CEILING, TRAINING, RENDERING, GAUSSIANS)
+    return measured(results, (*views, *recovery_columns()[:1], *rest))
 
 
 def shown(value: float | None, column: Column, missing: str = NOT_MEASURED) -> str:
@@ -170,13 +178,16 @@ def shown_with_spread(
 
 
 def markdown(table: Table) -> str:
-    """The table for a README: best in bold, second best in italics."""
+    """The table for a README: best in bold, second best in italics.
+
+    Rows are names, set as code, where the table says what they are names of.
+    """
     heads = [f"{column.label}{f' ({column.unit})' if column.unit else ''}{_arrow(column)}"
              for column in table.columns]  # fmt: skip
     lines = [[table.of, *heads], ["---", *["---:"] * len(heads)]]
     for method, cells in table.rows:
         marked = [_emphasis(cell) for cell in cells]
-        lines.append([f"`{method}`", *marked])
+        lines.append([f"`{method}`" if table.of else method, *marked])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 

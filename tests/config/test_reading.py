@@ -1,3 +1,5 @@
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -7,7 +9,7 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.animate import AnimationParams
 from deblur_avatar.pipeline.blur import BlurParams
 from deblur_avatar.pipeline.clip import ClipParams
-from deblur_avatar.pipeline.parameters import check_parameters
+from deblur_avatar.pipeline.parameters import METRICS_OF_STAGES, check_parameters
 
 ROOT = Path(__file__).parents[2]
 GOOD = "blur: {frames: interpolated, factor: 8, window: 33, light: srgb}\n"
@@ -88,6 +90,20 @@ def test_a_run_of_a_scene_that_does_not_exist_is_refused(tmp_path):
     broken = text.replace("studio-paper: {scene: studio", "studio-paper: {scene: studoi")
     with pytest.raises(ConfigError, match="runs.studio-paper: no scene 'studoi'"):
         check_parameters(written(tmp_path, broken))
+
+
+@pytest.mark.parametrize("stage", ["blur", "cost", "timeline"])
+def test_a_scene_that_is_named_like_a_stage_is_refused(tmp_path, stage):
+    text = (ROOT / "params.yaml").read_text()
+    scene = json.dumps(read_yaml(ROOT / "params.yaml")["scenes"]["studio"])
+    broken = re.sub(r"(?m)^scenes:\n", f"scenes:\n  {stage}: {scene}\n", text)
+    with pytest.raises(ConfigError, match=rf"scenes\.{stage}: metrics/{stage} is where a stage"):
+        check_parameters(written(tmp_path, broken))
+
+
+def test_the_folders_that_stages_write_metrics_to_are_known():
+    pipeline = (ROOT / "dvc.yaml").read_text()
+    assert set(re.findall(r"metrics/(\w+)/", pipeline)) <= METRICS_OF_STAGES
 
 
 def test_every_section_is_immutable(tmp_path):

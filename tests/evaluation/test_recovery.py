@@ -1,12 +1,16 @@
 import pytest
 
+from deblur_avatar.evaluation.metrics import metric
 from deblur_avatar.evaluation.recovery import (
     averaged,
     compared,
     pooled,
     recovery,
+    share_won_back,
     spread,
 )
+
+PSNR, FLIP = metric("psnr"), metric("flip")
 
 
 def result(**image):
@@ -16,23 +20,27 @@ def result(**image):
 @pytest.mark.parametrize(
     ("value", "expected"), [(24.0, 0.0), (28.0, 1.0), (25.0, 0.25), (23.0, -0.25), (30.0, 1.5)]
 )
-def test_recovery_is_nought_for_blind_and_one_for_the_oracle(value, expected):
-    assert recovery(value, 24.0, 28.0, 1, 0.1) == pytest.approx(expected)
+def test_recovery_is_nought_for_agnostic_and_one_for_the_oracle(value, expected):
+    assert recovery(value, 24.0, 28.0, PSNR) == pytest.approx(expected)
 
 
 def test_recovery_counts_down_where_smaller_is_better():
-    assert recovery(0.10, 0.20, 0.05, -1, 0.001) == pytest.approx(2 / 3)
+    assert recovery(0.10, 0.20, 0.05, FLIP) == pytest.approx(2 / 3)
 
 
 @pytest.mark.parametrize(
-    ("value", "agnostic", "oracle", "sign"),
-    [(25.0, 24.0, 24.05, 1), (25.0, 28.0, 24.0, 1), (0.1, 0.1, 0.2, -1), (None, 1.0, 2.0, 1),
-     (1.0, None, 2.0, 1), (1.0, 0.0, None, 1)],
+    ("value", "agnostic", "oracle", "row"),
+    [(25.0, 24.0, 24.45, PSNR), (25.0, 28.0, 24.0, PSNR), (0.1, 0.1, 0.2, FLIP),
+     (None, 1.0, 2.0, PSNR), (1.0, None, 2.0, PSNR), (1.0, 0.0, None, PSNR),
+     (25.0, 24.0, 28.0, metric("psnr_foreground"))],
 )  # fmt: skip
-def test_recovery_is_left_open_where_blur_costs_nothing_or_is_unknown(
-    value, agnostic, oracle, sign
-):
-    assert recovery(value, agnostic, oracle, sign, 0.1) is None
+def test_recovery_is_left_open_where_blur_costs_nothing_or_is_unknown(value, agnostic, oracle, row):
+    assert recovery(value, agnostic, oracle, row) is None
+
+
+def test_a_share_of_nothing_is_none():
+    assert share_won_back(1.0, 2.0, 2.0) is None
+    assert share_won_back(2.0, 3.0, 1.0) == 0.5
 
 
 def test_all_methods_of_a_scene_are_compared():

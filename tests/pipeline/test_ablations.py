@@ -102,7 +102,7 @@ def test_files_are_written_for_reading_and_for_dvc(results, tmp_path):
     gathered(results).save(tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "index.html", "tables.md", "summary.json", "speed_accuracy.json", "speed_accuracy.png",
-        "speed_accuracy.svg", "speed_accuracy.vl.json", "quality_over_time.json",
+        "speed_accuracy.svg", "quality_over_time.json",
     }  # fmt: skip
     assert "<svg" in (tmp_path / "out/index.html").read_text()
 

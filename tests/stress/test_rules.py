@@ -4,13 +4,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.stress.checks import Case, Check
 from benchmarks.stress.params import ModeParams, SeverityParams
-from benchmarks.stress.rules import (
-    RULES,
-    Case,
-    Check,
-    judge,
-)
+from benchmarks.stress.rules import RULES, judge
 from deblur_avatar.config.reading import load_params
 from tests.structure.pipeline_files import ROOT
 
@@ -114,7 +110,7 @@ def test_a_crash_fails_whatever_else_was_asked():
     assert not passes("bad_numbers", case({"crashed": "IndexError: 3", **REFUSED}))
 
 
-def test_blind_is_held_to_limits_of_its_own():
+def test_agnostic_is_held_to_limits_of_its_own():
     assert passes("overlap", case({"score": 15.0}, method="agnostic"))
     assert not passes("overlap", case({"score": 14.0}, method="agnostic"))
 

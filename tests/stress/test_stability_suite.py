@@ -17,8 +17,8 @@ from benchmarks.stress.report import report_stability
 from benchmarks.stress.scene import film_scene, measure_ceiling
 from benchmarks.stress.suite import (
     PICTURES,
-    film_of,
     run_mode,
+    scenes_in,
 )
 from deblur_avatar.config.reading import (
     load_params,
@@ -89,7 +89,7 @@ def suite(tmp_path_factory, modes, start):
 
 
 def _run(folder, mode, method, start):
-    return run_mode(mode, setup(start, method), film_of(folder / "scene"))
+    return run_mode(mode, setup(start, method), scenes_in(folder / "scene"))
 
 
 @pytest.fixture(scope="module")

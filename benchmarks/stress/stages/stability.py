@@ -4,7 +4,7 @@ from pathlib import Path
 
 from benchmarks.stress.fit import FitSetup
 from benchmarks.stress.params import ModeParams
-from benchmarks.stress.suite import film_of, run_mode
+from benchmarks.stress.suite import run_mode, scenes_in
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.pipeline.parameters import MethodParams
@@ -25,7 +25,7 @@ def main(mode: str, method: str, scenes: Path, out: Path, params_file: Path) -> 
             device=context.device,
         )
         item = run_mode(
-            load_params(params_file, f"modes.{mode}", ModeParams), setup, film_of(scenes)
+            load_params(params_file, f"modes.{mode}", ModeParams), setup, scenes_in(scenes)
         )
         item.save(out)
 

@@ -18,11 +18,11 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.evaluation.comparisons import compare, mean_scores
+from deblur_avatar.evaluation.metrics import recovered_metrics
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 VIEWS = 12  # test views that each snapshot is compared with, spread over cameras and instants
-SCORES = ("psnr", "ssim", "flip", "lpips_vgg", "psnr_seen")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Moment:
     folder: Path  # of `avatar` and `motion`
 
 
-def timeline(
+def learning_curve(
     observations: Observations,
     reference: Reference,
     stages: Mapping[str, Path],
@@ -96,7 +96,7 @@ def _scored(
         "stage": moment.stage,
         "iteration": moment.iteration,
         "gaussians": len(avatar.means),
-        "image": scores and {name: scores[name] for name in SCORES},
+        "image": scores and {row.name: scores[row.name] for row in recovered_metrics()},
         "validation_psnr": mean_reblur_psnr(model, observations, motion, observations.validation),
     }
 

@@ -6,10 +6,10 @@ import torch
 
 from deblur_avatar.evaluation.comparisons import compare
 from deblur_avatar.evaluation.truth_views import truth_views
-from deblur_avatar.pipeline.timeline import (
+from deblur_avatar.pipeline.learning_curve import (
     VIEWS,
+    learning_curve,
     moments_of,
-    timeline,
 )
 from deblur_avatar.training.resume import Snapshot
 
@@ -48,7 +48,7 @@ def test_without_snapshots_the_ends_of_stages_with_a_motion_are_left(trained):
 
 
 def test_every_snapshot_is_scored_on_the_same_views(scene, trained):
-    content = timeline(scene.observations, scene.reference, trained, CPU)
+    content = learning_curve(scene.observations, scene.reference, trained, CPU)
     views = truth_views(scene.observations, scene.reference)
     novel = [view for view in views if not view.novel_pose]
     assert content["views"] == len(novel) <= VIEWS
@@ -63,7 +63,7 @@ def test_every_snapshot_is_scored_on_the_same_views(scene, trained):
 
 
 def test_scores_are_those_of_the_evaluation(scene, trained, painted):
-    content = timeline(scene.observations, scene.reference, trained, CPU)
+    content = learning_curve(scene.observations, scene.reference, trained, CPU)
     views = truth_views(scene.observations, scene.reference)
     model = painted(frames=8)
     scores = [
@@ -83,7 +83,7 @@ def test_footage_without_truth_is_scored_on_frames_set_aside(scene, trained):
             for name in ("images", "mattes", "camera_indices", "frame_indices", "novel_pose")
         },
     )
-    content = timeline(scene.observations, reference, trained, CPU)
+    content = learning_curve(scene.observations, reference, trained, CPU)
     assert content["views"] == 0
     assert {point["image"] for point in content["points"]} == {None}
     assert content["points"][-1]["validation_psnr"] > 30
