@@ -40,13 +40,13 @@ from benchmarks.rasterizer import machine
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars import half_precision
+from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.avatars.params import ModelParams, Precision
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
-from deblur_avatar.pipeline.fusion import new_network
+from deblur_avatar.pipeline.fusion import FusedParams, new_network
 from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import new_trajectory
 from deblur_avatar.rendering.rasterize import rasterize
@@ -141,9 +141,17 @@ def observations(size: int) -> Observations:
     )
 
 
-def begin(name: str, seen: Observations, schedule: ScheduleParams) -> tuple[AvatarFit, Step]:
-    """A fit of one method in its last stage, where all its parts take part, and its step."""
+def begin(
+    name: str, seen: Observations, schedule: ScheduleParams, precision: Precision | None = None
+) -> tuple[AvatarFit, Step]:
+    """A fit of one method in its last stage, where all its parts take part, and its step.
+
+    All its networks are computed in `precision`; None for the parameters' own.
+    """
     start = load_params(PARAMETERS, f"starts.{METHODS[name]}", StartParams)
+    if precision is not None:
+        model_params = start.model.model_copy(update={"precision": precision})
+        start = start.model_copy(update={"model": model_params})
     method = load_params(PARAMETERS, f"methods.{name}", MethodParams)
     generator = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
@@ -152,7 +160,11 @@ def begin(name: str, seen: Observations, schedule: ScheduleParams) -> tuple[Avat
     )
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(2.0)
-    network = new_network(method.fusion, start, model, FRAMES)
+    fusion = method.fusion
+    if precision is not None and isinstance(fusion, FusedParams):
+        in_precision = fusion.network.model_copy(update={"precision": precision})
+        fusion = fusion.model_copy(update={"network": in_precision})
+    network = new_network(fusion, start, model, FRAMES)
     trajectory = new_trajectory(seen, method.trajectory.motion, generator)
     device = torch.device("cpu")
     fit = AvatarFit(model, trajectory, seen, start, schedule, device, generator, network)
@@ -387,19 +399,15 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
         found = profiled(fit, step)
         apart = {part: round(share * took, 2) for part, share in found["parts"].items()}
         record["methods"][method] = {"ms": round(took, 2), "parts_ms": apart, **found}
-    _, shared = begin("paper", seen, schedule)
+    fit, shared = begin("paper", seen, schedule)
+    _, shared_full = begin("paper", seen, schedule, "float32")
     apart = naive(begin("paper", seen, schedule)[0])
-    slow = naive(begin("paper", seen, schedule)[0])
-    able = half_precision._multiplies_half
-
-    def in_full_precision(index: int) -> None:
-        half_precision._multiplies_half = lambda: False  # type: ignore[assignment]
-        slow(index)
-        half_precision._multiplies_half = able
-
-    took, naively, fully = milliseconds([shared, apart, in_full_precision])
+    apart_full = naive(begin("paper", seen, schedule, "float32")[0])
+    took, full, naively, fully = milliseconds([shared, shared_full, apart, apart_full])
     record["naive"] = {
+        **as_computed(fit.model.params.precision, torch.device("cpu")),
         "ms": round(took, 2),
+        "float32_ms": round(full, 2),
         "naive_ms": round(naively, 2),
         "naive_float32_ms": round(fully, 2),
         "faster": round(naively / took, 2),

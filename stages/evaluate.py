@@ -29,7 +29,7 @@ def main(
         content = {"scene": scene, "method": method, **evaluation.metrics}
         content["run"] = {
             "seed": seed, "device": context.device.type, "schedule": schedule,
-            "iterations": avatar.iteration,
+            "iterations": avatar.iteration, **evaluation.computed,
         }  # fmt: skip
         run.write_json(out / "views.json", pictures.index)
         run.write_json(metrics, content)

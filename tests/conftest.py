@@ -150,8 +150,8 @@ def tiny_parameters() -> dict[str, Any]:
     model["nonrigid"] = {"bins": 4, "hidden": [8], "codes": 2}
     model["skinning"] = {"hidden": [16], "pretrain": 20}
     model["color"] = {"features": 4, "hidden": [8], "latent": 2, "view_noise_degrees": 45.0}
-    network = {"hidden": [8], "frame_codes": 4, "color_features": 4, "pose": True}
-    content["methods"]["paper"]["fusion"]["network"] = network
+    network = content["methods"]["paper"]["fusion"]["network"]
+    network |= {"hidden": [8], "frame_codes": 4, "color_features": 4}
     ends = {"warmup": 6, "trajectory": 12, "fusion": 18}
     content["schedule"], content["snapshots"] = "tiny", 0
     content["schedules"] = {"tiny": ends | {"gaussians": 80, "image_height": SIZE}}

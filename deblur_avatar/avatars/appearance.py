@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from deblur_avatar.avatars.networks import ConditionedMLP, spherical_harmonics
+from deblur_avatar.avatars.params import Precision
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 
 HARMONICS = 15  # of degrees 1 to 3
@@ -25,11 +26,13 @@ class ColorNetwork(nn.Module):
     """
 
     def __init__(
-        self, features: int, deformation: int, latent: int, frames: int, hidden: Sequence[int]
-    ) -> None:
+        self, features: int, deformation: int, latent: int, frames: int, hidden: Sequence[int],
+        precision: Precision,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.latents = nn.Embedding(frames, latent)
-        self.network = ConditionedMLP(features + HARMONICS + deformation, latent, hidden, 3)
+        inputs = features + HARMONICS + deformation
+        self.network = ConditionedMLP(inputs, latent, hidden, 3, precision)
 
     def forward(
         self,

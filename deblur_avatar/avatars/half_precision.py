@@ -1,9 +1,13 @@
-"""Leaky-ReLU layers in bfloat16 on processors that multiply it natively.
+"""Leaky-ReLU layers whose products are of bfloat16 numbers.
 
-Conventions. P points. Activations and gradients are bfloat16 (each off by at most 1/256), sums are
-float32, and so are weights outside, narrow inputs (coordinates need all their digits) and the last
-layer's output. Five times faster than the same layers in float32, which is most of a fitting step
-(docs/decisions/0007-half-precision-layers.md).
+Conventions. P points. Inputs, hidden weights, activations and gradients are rounded to bfloat16
+(each off by at most 1/256). Sums are float32, and so are weights outside, narrow inputs
+(coordinates need all their digits) and the last layer's output.
+
+On a processor that multiplies bfloat16 natively this is five times faster than the same layers in
+float32, which is most of a fitting step (docs/decisions/0007-half-precision-layers.md). Elsewhere
+the same numbers are rounded at the same places and multiplied in float32. The two differ where
+sums in another order are rounded to the other neighbour.
 """
 
 from collections.abc import Sequence
@@ -15,13 +19,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from deblur_avatar.avatars.params import Precision
+
 HALF: Final = torch.bfloat16
 NARROW: Final = 16  # inputs
-
-
-def worthwhile(points: Tensor) -> bool:
-    """Whether layers over these points are to be computed in half precision."""
-    return points.dtype == torch.float32 and points.device.type == "cpu" and _multiplies_half()
 
 
 def leaky_layers(
@@ -30,8 +31,25 @@ def leaky_layers(
     biases: Sequence[Float[Tensor, " _"]],
     slope: float,
 ) -> Float[Tensor, "P O"]:
-    """Layers with leaky ReLUs of this slope between them."""
+    """Layers with leaky ReLUs of this slope between them, of float32 tensors."""
     return _Layers.apply(slope, points, *weights, *biases)
+
+
+def as_computed(precision: Precision | None, device: torch.device) -> dict[str, str]:
+    """How networks of a precision (None: no networks) are computed here, for a record of a run.
+
+    Returns:
+        `precision`: float32, "bfloat16, native" or "bfloat16, emulated"; and `cpu`, the widest
+        vector instructions that torch uses: AVX512, AVX2 or DEFAULT.
+    """
+    way = "native" if is_native(device) else "emulated"
+    name = f"bfloat16, {way}" if precision == "bfloat16" else "float32"
+    return {"precision": name, "cpu": torch.backends.cpu.get_cpu_capability()}
+
+
+def is_native(device: torch.device) -> bool:
+    """Whether bfloat16 is multiplied as such on a device, or emulated in float32."""
+    return device.type == "cpu" and _multiplies_half()
 
 
 class _Layers(torch.autograd.Function):
@@ -62,8 +80,8 @@ class _Layers(torch.autograd.Function):
         weight_grads: list[Tensor] = []
         bias_grads: list[Tensor] = []
         for layer in reversed(range(count)):
-            weight_grads.insert(0, (back.T @ inputs[layer]).float())
-            bias_grads.insert(0, (ones @ back)[0].float())
+            weight_grads.insert(0, _product(back.T, inputs[layer]).float())
+            bias_grads.insert(0, _product(ones, back)[0].float())
             if layer == 0 and not ctx.needs_input_grad[1]:
                 return None, None, *weight_grads, *bias_grads
             back = _times(back, weights[layer])
@@ -76,17 +94,30 @@ class _Layers(torch.autograd.Function):
 
 
 def _linear(value: Tensor, weight: Tensor, bias: Tensor, slope: float | None) -> Tensor:
+    if value.dtype == HALF and not is_native(value.device):
+        return _linear(value.float(), weight.float(), bias.float(), slope).to(HALF)
+    if value.device.type != "cpu" or not torch.backends.mkldnn.is_available():
+        sums = torch.addmm(bias, value, weight.T)
+        return sums if slope is None else torch.nn.functional.leaky_relu_(sums, slope)
     kind, scalars = ("none", []) if slope is None else ("leaky_relu", [slope])
     return torch.ops.mkldnn._linear_pointwise(value, weight.contiguous(), bias, kind, scalars, "")
 
 
 def _times(grad: Tensor, weight: Tensor) -> Tensor:
     # A product with one row is a matter of memory, which the library for products does not see.
-    return grad * weight if len(weight) == 1 else grad @ weight
+    return grad * weight if len(weight) == 1 else _product(grad, weight)
+
+
+def _product(left: Tensor, right: Tensor) -> Tensor:
+    if is_native(left.device):
+        return left @ right
+    return (left.float() @ right.float()).to(HALF)
 
 
 @cache
 def _multiplies_half() -> bool:
     able = torch.cpu.get_capabilities()
     native = bool(able.get("avx512_bf16") or able.get("amx_bf16"))
-    return native and torch.backends.mkldnn.is_available()
+    # ATEN_CPU_CAPABILITY tells torch to do without what the processor has.
+    allowed = torch.backends.cpu.get_cpu_capability().startswith("AVX512")
+    return native and allowed and torch.backends.mkldnn.is_available()

@@ -21,7 +21,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.appearance import ColorNetwork, random_view_rotation
 from deblur_avatar.avatars.gaussians import Gaussians, gaussians_on_surface
 from deblur_avatar.avatars.networks import ConditionedMLP, one_blob
-from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.avatars.params import ModelParams, Precision
 from deblur_avatar.avatars.pose_encoder import PoseEncoder
 from deblur_avatar.avatars.skinning_field import SkinningField, surface_weights
 from deblur_avatar.bodies.posed_body import (
@@ -42,6 +42,10 @@ from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.rendering.covariance_factors import covariance_factors, covariances
 from deblur_avatar.rendering.posing import pose_gaussians
 from deblur_avatar.rendering.rasterize import rasterize
+
+# What avatars say nothing of: they were saved before there was a choice. Equal avatars stay equal
+# bytes.
+PRECISION_OF_OLD: Precision = "bfloat16"
 
 BOX_PADDING = 0.1  # of the canonical body's extent on each side (3DGS-Avatar)
 
@@ -93,20 +97,22 @@ class AvatarModel(nn.Module):
         self.register_buffer("canonical_vertices", vertices, persistent=False)
         self.register_buffer("rest_from_canonical", invert_rigid(canonical), persistent=False)
         codes = 0
+        precision: Precision = params.precision or PRECISION_OF_OLD
         if params.nonrigid is not None:
             self.pose_encoder = PoseEncoder(body, betas)
             codes = params.nonrigid.codes
             encoded = 3 * params.nonrigid.bins
             outputs = 3 + 3 + 3 + codes
             self.nonrigid = ConditionedMLP(
-                encoded, self.pose_encoder.size, params.nonrigid.hidden, outputs
+                encoded, self.pose_encoder.size, params.nonrigid.hidden, outputs, precision
             )
         if params.skinning is not None:
-            self.skinning = SkinningField(body.parents, params.skinning.hidden)
+            self.skinning = SkinningField(body.parents, params.skinning.hidden, precision)
         if params.color is not None:
             self.color = ColorNetwork(
-                gaussians.features.shape[1], codes, params.color.latent, frames, params.color.hidden
-            )
+                gaussians.features.shape[1], codes, params.color.latent, frames,
+                params.color.hidden, precision,
+            )  # fmt: skip
 
     @classmethod
     def create(
@@ -132,7 +138,7 @@ class AvatarModel(nn.Module):
             ArtifactError: if its networks are not those of the composition.
         """
         parts: dict[str, Any] = avatar.model
-        params = parse(ModelParams, parts["params"], "avatar model")
+        params = _composition(parts["params"])
         # Clones: fitting works in place, and an artifact never changes.
         gaussians = Gaussians(
             avatar.means.clone(), avatar.quats.clone(), avatar.log_scales.clone(),
@@ -158,7 +164,7 @@ class AvatarModel(nn.Module):
             betas=self.betas.cpu(),
             networks={k: v for k, v in state.items() if not k.startswith(own)},
             model={
-                "params": self.params.model_dump(mode="json"),
+                "params": _as_json(self.params),
                 "frames": self.frames,
                 "light": self.light,
             },
@@ -312,3 +318,22 @@ def render_avatar(
 def encode(image: Float[Tensor, "*batch H W 3"], light: str) -> Float[Tensor, "*batch H W 3"]:
     """Turn averaged light into sRGB values in [0, 1]."""
     return linear_to_srgb(image.clamp(0, 1)) if light == "linear" else image.clamp(0, 1)
+
+
+def _as_json(params: ModelParams) -> dict[str, Any]:
+    """The composition as it is saved, in which the precision of old goes without saying."""
+    said = params.model_dump(mode="json")
+    if params.precision in (None, PRECISION_OF_OLD):
+        del said["precision"]
+    return said
+
+
+def _composition(said: Any) -> ModelParams:
+    """The composition that `_as_json` saved.
+
+    Raises:
+        ConfigError: if it is not one this version knows.
+    """
+    if isinstance(said, dict) and any(value is not None for value in said.values()):
+        said = {"precision": PRECISION_OF_OLD, **said}
+    return parse(ModelParams, said, "avatar model")

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from deblur_avatar.avatars.half_precision import leaky_layers, worthwhile
+from deblur_avatar.avatars.half_precision import leaky_layers
+from deblur_avatar.avatars.params import Precision
 
 LEAKY_SLOPE = 0.01  # 3DGS-Avatar
 
@@ -22,11 +23,17 @@ LEAKY_SLOPE = 0.01  # 3DGS-Avatar
 class ConditionedMLP(nn.Module):
     """Leaky-ReLU layers over points [P, inputs], with a condition [C] at the first layer.
 
+    In float64 it computes in float64, whatever its precision: derivatives are checked so.
+
     Source: 3DGS-Avatar's and Deblur-Avatar's deformation and colour networks.
     """
 
-    def __init__(self, inputs: int, condition: int, hidden: Sequence[int], outputs: int) -> None:
+    def __init__(
+        self, inputs: int, condition: int, hidden: Sequence[int], outputs: int,
+        precision: Precision,
+    ) -> None:  # fmt: skip
         super().__init__()
+        self._precision = precision
         sizes = [inputs + condition, *hidden]
         self._inputs = inputs
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes, sizes[1:], strict=False))
@@ -42,7 +49,7 @@ class ConditionedMLP(nn.Module):
         if condition is not None:
             bias = bias + first.weight[:, self._inputs :] @ condition
         weight = first.weight[:, : self._inputs]
-        if worthwhile(points):
+        if self._precision == "bfloat16" and points.dtype == torch.float32:
             others = [*self.layers[1:], self.last]
             weights = [weight, *(layer.weight for layer in others)]
             return leaky_layers(points, weights, [bias, *(b.bias for b in others)], LEAKY_SLOPE)

@@ -1,14 +1,17 @@
 """Parameters of an avatar: which networks it is composed of."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from deblur_avatar.config.section import (
     Count,
     NonNegative,
     Params,
 )
+
+# Of the layers of a network: float32, or products of bfloat16 summed in float32.
+Precision = Literal["float32", "bfloat16"]
 
 
 class NonRigidParams(Params):
@@ -36,8 +39,22 @@ class ColorParams(Params):
 
 
 class ModelParams(Params):
-    """Which parts an avatar is composed of."""
+    """Which parts an avatar is composed of.
 
+    `precision` is that of the networks' layers; an avatar without networks states none.
+    """
+
+    precision: Precision | None = None
     nonrigid: NonRigidParams | None
     skinning: SkinningParams | None
     color: ColorParams | None
+
+    @model_validator(mode="after")
+    def _precision_of_networks(self) -> "ModelParams":
+        networks = (self.nonrigid, self.skinning, self.color)
+        has_networks = any(network is not None for network in networks)
+        if has_networks and self.precision is None:
+            raise ValueError("networks need a precision, float32 or bfloat16")
+        if not has_networks and self.precision is not None:
+            raise ValueError("an avatar without networks takes no precision; remove the key")
+        return self

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.networks import ConditionedMLP
+from deblur_avatar.avatars.params import Precision
 
 NEIGHBOURS = 4  # surface vertices that a point off the surface takes its weights from
 
@@ -28,14 +29,16 @@ class SkinningField(nn.Module):
 
     terms: Tensor
 
-    def __init__(self, parents: tuple[int, ...], hidden: Sequence[int]) -> None:
+    def __init__(
+        self, parents: tuple[int, ...], hidden: Sequence[int], precision: Precision
+    ) -> None:
         super().__init__()
         count = len(parents)
         children = [[j for j, p in enumerate(parents) if p == joint] for joint in range(count)]
         inner = [joint for joint, below in enumerate(children) if below]
         # One logit a child for how a joint's outgoing mass is shared, one a parent for how much.
         edges = sum(len(below) for below in children)
-        self.network = ConditionedMLP(3, 0, hidden, edges + len(inner))
+        self.network = ConditionedMLP(3, 0, hidden, edges + len(inner), precision)
         # log w_j = log keep_j + sum over the edges on the path from the root of log pass, and log
         # keep = log pass - gate. A joint with one child passes everything to it: its share is 1.
         forks = [below for below in children if len(below) > 1]

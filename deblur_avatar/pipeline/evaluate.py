@@ -20,6 +20,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.model import AvatarModel, render_avatar
 from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
@@ -39,6 +40,7 @@ class Evaluation:
     metrics: dict[str, Any]
     comparisons: list[Comparison]
     render_fps: float  # one picture of the training camera at a time
+    computed: dict[str, str]  # networks' precision, and the processor's kind
 
 
 def evaluate(
@@ -85,7 +87,7 @@ def evaluate(
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
     fps = _render_fps(model, observations, motion)
-    return Evaluation(content, comparisons, fps)
+    return Evaluation(content, comparisons, fps, as_computed(model.params.precision, device))
 
 
 def _true_poses(observations: Observations, reference: Reference) -> Poses | None:

@@ -82,5 +82,5 @@ def new_network(
     posed = sizes.pose and start.model.nonrigid is not None
     return FusionNetwork(
         model.pose_encoder.size if posed else 0, frames,
-        sizes.frame_codes, sizes.color_features, sizes.hidden,
+        sizes.frame_codes, sizes.color_features, sizes.hidden, sizes.precision,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from deblur_avatar.avatars.networks import ConditionedMLP
+from deblur_avatar.avatars.params import Precision
 from deblur_avatar.config.section import Count, Params
 
 TOGETHER = 512  # rows of pixels are filled up to a multiple of it
@@ -21,6 +22,7 @@ FREQUENCIES = 4  # of the position code: sine and cosine of rows and of columns,
 class FusionNetworkParams(Params):
     """The paper's per-pixel blend of the sharp and the averaged render."""
 
+    precision: Precision
     hidden: tuple[Count, ...]
     frame_codes: Count
     color_features: Count
@@ -38,14 +40,14 @@ class FusionNetwork(nn.Module):
 
     def __init__(
         self, pose_code: int, frames: int, frame_codes: int, color_features: int,
-        hidden: Sequence[int],
+        hidden: Sequence[int], precision: Precision,
     ) -> None:  # fmt: skip
         super().__init__()
         self.sees_pose = pose_code > 0
         self.frame_codes = nn.Embedding(frames, frame_codes)
         self.look = nn.Conv2d(3, color_features, kernel_size=3, padding=1)
         self.network = ConditionedMLP(
-            4 * FREQUENCIES + color_features, pose_code + frame_codes, hidden, 1
+            4 * FREQUENCIES + color_features, pose_code + frame_codes, hidden, 1, precision
         )
 
     def forward(

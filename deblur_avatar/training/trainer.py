@@ -15,6 +15,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.model import AvatarModel, FrameState
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.motion.trajectory import Instants, Trajectory
@@ -211,6 +212,7 @@ class AvatarFit:
             "gaussians": len(self.model.gaussians),
             "left_out": self.descent.left_out,
             "perceptual": self.objective.perceptual,
+            **as_computed(self._params.model.precision, self._device),
         }
 
     def checkpoint(self, iteration: int) -> Checkpoint:

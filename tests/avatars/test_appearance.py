@@ -10,7 +10,8 @@ from deblur_avatar.avatars.networks import spherical_harmonics
 @pytest.fixture
 def network():
     torch.manual_seed(0)
-    return ColorNetwork(features=4, deformation=2, latent=3, frames=5, hidden=[6]).double()
+    network = ColorNetwork(4, deformation=2, latent=3, frames=5, hidden=[6], precision="float32")
+    return network.double()
 
 
 def inputs(count=7):

@@ -340,6 +340,43 @@ def test_a_composition_from_another_version_is_refused(dressed_up, body):
         AvatarModel.from_artifact(broken, body, torch.device("cpu"))
 
 
+def test_a_saved_avatar_says_its_precision_unless_it_is_that_of_old_avatars(
+    body, start, painted, tmp_path
+):
+    def saved(precision):
+        params = start.model.model_copy(update={"precision": precision})
+        model = AvatarModel.create(params, body, torch.zeros(2), 5, 30, "srgb", torch.Generator())
+        return model.to_artifact(1)
+
+    for precision in ("bfloat16", "float32"):
+        again = AvatarModel.from_artifact(saved(precision), body, torch.device("cpu"))
+        assert again.params.precision == precision
+    assert saved("float32").model["params"]["precision"] == "float32"
+    # Avatars of before there was a choice, and those without networks, have the same bytes today.
+    assert "precision" not in saved("bfloat16").model["params"]
+    plain = painted().to_artifact(1)
+    assert "precision" not in plain.model["params"]
+    assert AvatarModel.from_artifact(plain, body, torch.device("cpu")).params.precision is None
+
+
+def test_networks_are_computed_in_the_precision_that_the_parameters_say(
+    dressed_up, body, start, swinging, front
+):
+    params = start.model.model_copy(update={"precision": "float32"})
+    full = AvatarModel.create(params, body, dressed_up.betas, 5, 120, "srgb", torch.Generator())
+    full.load_state_dict(dressed_up.state_dict())
+    poses = swinging(2, 30.0)
+    rotations = joint_rotations(poses)[0]
+    half, whole = dressed_up.condition(rotations, 0), full.condition(rotations, 0)
+    assert not torch.equal(half.deformation, whole.deformation)
+    assert not torch.equal(dressed_up.weights_at(half.means), full.weights_at(half.means))
+    transforms = full.transforms(rotations, poses.transl[0])
+    one, other = (model.colors(half, transforms, front.viewmats[0]) for model in (dressed_up, full))
+    assert not torch.equal(one, other)
+    found, wanted = picture(dressed_up, poses, front), picture(full, poses, front)
+    assert (found - wanted).square().mean().sqrt() < 0.01
+
+
 def test_covariance_factors_are_square_roots_of_covariances_after_deformation_too(
     dressed_up, swinging
 ):

@@ -17,7 +17,7 @@ def points_in_the_cube(count=20):
 
 
 def test_a_shared_condition_is_the_same_as_a_copy_of_it_at_every_point():
-    network = ConditionedMLP(3, 5, [7, 6], 4).double()
+    network = ConditionedMLP(3, 5, [7, 6], 4, "float32").double()
     points, condition = points_in_the_cube(), torch.randn(5).double()
     first, second = network.layers
     plain = nn.Sequential(first, nn.LeakyReLU(0.01), second, nn.LeakyReLU(0.01), network.last)
@@ -26,14 +26,14 @@ def test_a_shared_condition_is_the_same_as_a_copy_of_it_at_every_point():
 
 
 def test_a_network_without_condition_is_a_plain_one():
-    network = ConditionedMLP(3, 0, [7], 2).double()
+    network = ConditionedMLP(3, 0, [7], 2, "float32").double()
     points = points_in_the_cube()
     plain = nn.Sequential(network.layers[0], nn.LeakyReLU(0.01), network.last)
     torch.testing.assert_close(network(points), plain(points))
 
 
 def test_gradients_reach_points_and_condition():
-    network = ConditionedMLP(3, 2, [4, 4], 2).double()
+    network = ConditionedMLP(3, 2, [4, 4], 2, "float32").double()
     points = points_in_the_cube(3).requires_grad_()
     condition = torch.randn(2, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(network, (points, condition))

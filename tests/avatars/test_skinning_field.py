@@ -10,7 +10,7 @@ JOINT = {name: index for index, name in enumerate(SMPL_JOINT_NAMES)}
 @pytest.fixture
 def field():
     torch.manual_seed(0)
-    return SkinningField(SMPL_PARENTS, [8]).double()
+    return SkinningField(SMPL_PARENTS, [8], "float32").double()
 
 
 def logits_of(field, count=50, size=3.0):

@@ -28,6 +28,8 @@ def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, start, schedule
     assert avatar.iteration == checkpoint.iteration == schedule.warmup
     assert cost["gaussians"] == len(avatar.means)
     assert 0 < cost["seconds"] < 60
+    assert cost["precision"].startswith("bfloat16, ")
+    assert cost["cpu"] == torch.backends.cpu.get_cpu_capability()
     assert avatar.model["frames"] == len(observations.frames)
     assert avatar.model["light"] == observations.light
     assert torch.equal(avatar.betas, observations.poses.betas)

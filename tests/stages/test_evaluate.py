@@ -2,6 +2,8 @@ import json
 import subprocess
 from pathlib import Path
 
+import torch
+
 from tests.filmed_scene import film
 from tests.stages.running import run_script
 
@@ -41,6 +43,9 @@ def test_the_stage_measures_a_few_pixels(painted, make_observations, tmp_path):
     assert measured["image"]["psnr"] > 28
     assert "cost" not in measured
     assert json.loads((tmp_path / "cost.json").read_text())["render_fps"] > 1
-    assert measured["run"] == {"seed": 3, "device": "cpu", "schedule": "medium", "iterations": 7}
+    assert measured["run"] == {
+        "seed": 3, "device": "cpu", "schedule": "medium", "iterations": 7,
+        "precision": "float32", "cpu": torch.backends.cpu.get_cpu_capability(),
+    }  # fmt: skip
     views = json.loads((tmp_path / "out" / "views.json").read_text())
     assert all((tmp_path / "out" / view["render"]).exists() for view in views)

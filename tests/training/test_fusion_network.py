@@ -16,7 +16,12 @@ SIZE = 8
 def network():
     torch.manual_seed(0)
     return FusionNetwork(
-        pose_code=6, frames=3, frame_codes=4, color_features=5, hidden=[7, 7]
+        pose_code=6,
+        frames=3,
+        frame_codes=4,
+        color_features=5,
+        hidden=[7, 7],
+        precision="bfloat16",
     ).double()
 
 

@@ -72,7 +72,9 @@ def begin(observations, start, schedule):
         trajectory = KINDS[motion].create(seen, section, apart)
         network = None
         if fused:
-            network = FusionNetwork(model.pose_encoder.size, len(seen.frames), 4, 4, [8])
+            network = FusionNetwork(
+                model.pose_encoder.size, len(seen.frames), 4, 4, [8], params.model.precision
+            )
         return AvatarFit(
             model, trajectory, seen, params, paced(schedule, last), CPU, generator, network
         )
