@@ -5,9 +5,9 @@ Conventions. P points. Inputs, hidden weights, activations and gradients are rou
 (coordinates need all their digits) and the last layer's output.
 
 On a processor that multiplies bfloat16 natively this is five times faster than the same layers in
-float32, which is most of a fitting step (docs/decisions/0007-half-precision-layers.md). Elsewhere
-the same numbers are rounded at the same places and multiplied in float32. The two differ where
-sums in another order are rounded to the other neighbour.
+float32, which is most of a fitting step (docs/decisions/0007). Elsewhere the same numbers are
+rounded at the same places and multiplied in float32 (0018). The two differ where sums in another
+order are rounded to the other neighbour.
 """
 
 from collections.abc import Sequence

@@ -5,6 +5,7 @@ bytes now and then), so equal pictures give equal bytes with one version of the 
 """
 
 import logging
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from fractions import Fraction
@@ -18,6 +19,10 @@ from jaxtyping import UInt8
 from deblur_avatar.errors import ArtifactError
 
 logger = logging.getLogger(__name__)
+
+# Further parameters of x264, spelt as its own program spells them. `asm=avx2`, say, holds it back
+# to the instructions of an older processor, with which it writes other bytes.
+X264_VARIABLE = "DEBLUR_AVATAR_X264"
 
 QUALITY = "18"  # x264's constant rate factor: differences are hard to see
 BT709 = 1  # ITU-T H.273's number for HD television's primaries and matrix
@@ -89,7 +94,10 @@ def _open_stream(
     stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
     stream.height, stream.width = picture.shape[:2]
     stream.pix_fmt = "yuv420p"
-    stream.options = {"crf": QUALITY, "threads": "1", "bf": "0", "flags": "+bitexact"}
+    options: dict[str, object] = {"crf": QUALITY, "threads": "1", "bf": "0", "flags": "+bitexact"}
+    if further := os.environ.get(X264_VARIABLE):
+        options["x264-params"] = further
+    stream.options = options
     context = stream.codec_context
     context.color_primaries = context.colorspace = BT709
     context.color_trc = SRGB_CURVE

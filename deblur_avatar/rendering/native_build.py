@@ -130,7 +130,7 @@ def _run(command: list[str]) -> None:
 
 
 def _key(source: Path, compiler: list[str], flags: list[str]) -> str:
-    parts = [source.read_text(), *compiler, *flags, _version(compiler), _processor()]
+    parts = [source.read_text(), *compiler, *flags, OPENMP, _version(compiler), _processor()]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 

@@ -6,6 +6,8 @@ import torch
 from deblur_avatar.avatars.appearance import ColorNetwork, random_view_rotation
 from deblur_avatar.avatars.networks import spherical_harmonics
 
+pytestmark = pytest.mark.portable
+
 
 @pytest.fixture
 def network():

@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 import types
 
 import pytest
@@ -221,3 +224,14 @@ def test_bfloat16_is_native_where_the_processor_has_it_and_torch_may_use_it(
     for precision in ("float32", None):
         assert as_computed(precision, CPU) == {"precision": "float32", "cpu": used}
     assert as_computed("bfloat16", torch.device("cuda"))["precision"] == "bfloat16, emulated"
+
+
+def test_torch_held_back_to_older_instructions_emulates_and_says_so():
+    code = (
+        "import torch; from deblur_avatar.avatars.half_precision import as_computed;"
+        "print(*as_computed('bfloat16', torch.device('cpu')).values(), sep='; ')"
+    )
+    environment = os.environ | {"ATEN_CPU_CAPABILITY": "default"}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "bfloat16, emulated; DEFAULT\n"

@@ -24,6 +24,8 @@ from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.rendering.covariances import upper_triangles, whole_matrices
 from deblur_avatar.rendering.rasterize import rasterize
 
+pytestmark = pytest.mark.portable
+
 SIZE = 24
 
 

@@ -11,6 +11,8 @@ from deblur_avatar.avatars.networks import (
     spherical_harmonics,
 )
 
+pytestmark = pytest.mark.portable
+
 
 def points_in_the_cube(count=20):
     return torch.rand(count, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)

@@ -4,6 +4,8 @@ import torch
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, SMPL_PARENTS
 from deblur_avatar.avatars.skinning_field import SkinningField, surface_weights
 
+pytestmark = pytest.mark.portable
+
 JOINT = {name: index for index, name in enumerate(SMPL_JOINT_NAMES)}
 
 

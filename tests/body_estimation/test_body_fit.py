@@ -15,6 +15,8 @@ from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from tests.process_state import by_threads
 from tests.walking_person import FPS, detect_perfectly, ring_of_cameras, walking_poses
 
+pytestmark = pytest.mark.portable
+
 FRAMES = 10
 CAMERAS = ring_of_cameras()
 ALL = tuple(range(4))

@@ -11,6 +11,8 @@ from deblur_avatar.imaging.color import (
     srgb_to_linear,
 )
 
+pytestmark = pytest.mark.portable
+
 
 def test_the_curve_is_the_one_other_programs_use():
     codes = torch.linspace(0, 1, 256, dtype=torch.float64).expand(1, 3, 1, 256)

@@ -11,6 +11,8 @@ from deblur_avatar.imaging.deconvolution import (
     unclearness,
 )
 
+pytestmark = pytest.mark.portable
+
 SETTINGS = {"balance": 0.002, "surroundings": 4.0, "gain": 0.05}
 
 

@@ -10,6 +10,8 @@ from deblur_avatar.imaging.exposure import (
     frames_with_whole_window,
 )
 
+pytestmark = pytest.mark.portable
+
 FACTOR, COUNT = 4, 6
 
 

@@ -12,6 +12,8 @@ from deblur_avatar.imaging.interpolation import (
     subframes,
 )
 
+pytestmark = pytest.mark.portable
+
 SIZE = 96
 HALF = Fraction(1, 2)
 

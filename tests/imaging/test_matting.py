@@ -9,6 +9,8 @@ from deblur_avatar.imaging.matting import (
     trim_mattes,
 )
 
+pytestmark = pytest.mark.portable
+
 HEIGHT, WIDTH, FRAMES = 24, 40, 7
 PERSON = torch.tensor([0.9, 0.3, 0.2])
 

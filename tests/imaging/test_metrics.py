@@ -10,6 +10,8 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from deblur_avatar.imaging import metrics
 
+pytestmark = pytest.mark.portable
+
 TOLERANCE = 1e-4
 
 

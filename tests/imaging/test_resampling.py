@@ -11,6 +11,8 @@ from deblur_avatar.imaging.resampling import (
     undistort,
 )
 
+pytestmark = pytest.mark.portable
+
 K = torch.tensor([[60.0, 0, 34], [0, 60, 22], [0, 0, 1]])
 LENS = torch.tensor([-0.3, 0.1, 0.01, -0.01, 0.0])
 

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.video_writing import write_video
+from deblur_avatar.imaging.video_writing import X264_VARIABLE, write_video
+
+pytestmark = pytest.mark.portable
 
 
 def pictures(count: int = 12, height: int = 33, width: int = 47) -> list[np.ndarray]:
@@ -27,10 +29,22 @@ def test_a_video_shows_the_pictures_it_was_made_of(tmp_path):
     assert write_video(tmp_path / "walk.mp4", iter(pictures()), 30.0) == 12
     _, shown = decode(tmp_path / "walk.mp4")
     assert len(shown) == 12
-    for wanted, picture in zip(pictures(), shown, strict=True):
-        # Colour is stored at half the resolution, so that the square's edges differ.
-        assert np.abs(picture[:33, :47].astype(int) - wanted).mean() < 4
-        assert np.abs(picture[14:20, -6:].astype(int) - wanted[14:20, -7:-1]).max() < 8
+    shown = np.stack(shown)[:, :33, :47].astype(int)
+    errors = [[np.abs(one - other).mean() for other in pictures()] for one in shown]
+    # Colour is stored at half the resolution, so that the square's edges differ: the mean error is
+    # 2.5 with one kind of CPU and 2.6 with another, and 4.8 from the next picture.
+    for index, row in enumerate(errors):
+        assert all(row[index] < 0.75 * other for i, other in enumerate(row) if i != index)
+    # Away from edges, 4 of 255 are lost. Another matrix (BT.601's) is 17 off, a wrong range 15.
+    inside = [x[13:21, 2 * i + 3 : 2 * i + 11].mean((0, 1)) for i, x in enumerate(shown)]
+    assert np.abs(np.mean(inside, axis=0) - (220, 30, 30)).max() < 8
+
+
+def test_the_encoder_can_be_told_more(tmp_path, monkeypatch):
+    write_video(tmp_path / "walk.mp4", pictures(), 30.0)
+    monkeypatch.setenv(X264_VARIABLE, "qp=51")  # as coarse as it gets
+    write_video(tmp_path / "coarse.mp4", pictures(), 30.0)
+    assert (tmp_path / "coarse.mp4").stat().st_size < (tmp_path / "walk.mp4").stat().st_size
 
 
 def test_any_browser_can_play_it(tmp_path):

@@ -13,6 +13,8 @@ from deblur_avatar.motion.shutter_certainty import GUESS_STD, shutter_std
 from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.pipeline.trajectory import exposure_renderer
 
+pytestmark = pytest.mark.portable
+
 FRAMES, TRUE = 16, 2 / 60
 DRAW = 1 / 255  # what a pixel is off by
 

@@ -9,6 +9,8 @@ from deblur_avatar.imaging.exposure import frames_before
 from deblur_avatar.pipeline.blur import blur
 from tests.pipeline.moving_ball import PLAIN, changed, make_clip
 
+pytestmark = pytest.mark.portable
+
 
 def test_frames_are_the_mean_of_the_light_that_fell_while_the_shutter_was_open():
     clip = make_clip()

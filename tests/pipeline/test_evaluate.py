@@ -8,6 +8,8 @@ import torch
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.reporting.evaluation_pictures import colour_map, draw_pictures
 
+pytestmark = pytest.mark.portable
+
 CPU = torch.device("cpu")
 IMAGE_KEYS = {
     "psnr", "ssim", "ssim_range2", "ms_ssim", "flip", "lpips_vgg", "psnr_foreground", "psnr_seen",

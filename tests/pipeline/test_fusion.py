@@ -8,6 +8,8 @@ from deblur_avatar.pipeline.fusion import FusionParams, fuse
 from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 
+pytestmark = pytest.mark.portable
+
 CPU = torch.device("cpu")
 
 

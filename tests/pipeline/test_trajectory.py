@@ -11,6 +11,8 @@ from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory, new_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 
+pytestmark = pytest.mark.portable
+
 CPU = torch.device("cpu")
 
 

@@ -4,6 +4,8 @@ import torch
 from deblur_avatar.avatars.model import AvatarModel
 from deblur_avatar.pipeline.warmup import warm_up
 
+pytestmark = pytest.mark.portable
+
 CPU = torch.device("cpu")
 
 

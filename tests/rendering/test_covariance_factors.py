@@ -14,6 +14,8 @@ from deblur_avatar.rendering.covariance_factors import (
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
+pytestmark = pytest.mark.portable
+
 COUNT = 500
 
 

@@ -10,6 +10,8 @@ from deblur_avatar.rendering.covariances import upper_triangles
 from deblur_avatar.rendering.rasterize import rasterize
 from tests.process_state import by_threads
 
+pytestmark = pytest.mark.portable
+
 F32, F64 = torch.float32, torch.float64
 
 

@@ -15,6 +15,8 @@ from deblur_avatar.rendering.mesh_rendering import (
     used_cells,
 )
 
+pytestmark = pytest.mark.portable
+
 EVEN = Lighting(ambient=1.0, sky=0.0, lamps=())
 # A square of side 2 in the plane z = 0, facing +z, and a camera 4 m in front of it.
 SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)

@@ -9,6 +9,8 @@ import pytest
 from deblur_avatar.rendering import native_build
 from deblur_avatar.rendering.native_build import BuildError, load_library
 
+pytestmark = pytest.mark.portable
+
 SOURCE = 'extern "C" int answer() { return ANSWER; }\n'
 
 

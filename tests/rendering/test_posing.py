@@ -8,6 +8,8 @@ from deblur_avatar.rendering.posing import pose_gaussians, pose_gaussians_refere
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
+pytestmark = pytest.mark.portable
+
 JOINTS = 24
 
 

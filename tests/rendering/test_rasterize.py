@@ -10,6 +10,8 @@ from deblur_avatar.rendering import rasterize as rasterizers
 from deblur_avatar.rendering.native_build import BuildError
 from deblur_avatar.rendering.rasterize import rasterize
 
+pytestmark = pytest.mark.portable
+
 
 @pytest.fixture
 def reached(monkeypatch):

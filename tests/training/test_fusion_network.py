@@ -9,6 +9,8 @@ from deblur_avatar.training.fusion_network import (
     position_code,
 )
 
+pytestmark = pytest.mark.portable
+
 SIZE = 8
 
 

@@ -10,6 +10,8 @@ from deblur_avatar.training.isometry import isometry, isometry_reference
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
+pytestmark = pytest.mark.portable
+
 BOTH = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # kernel, twin
 
 

@@ -3,6 +3,8 @@ import torch
 
 from deblur_avatar.training import losses
 
+pytestmark = pytest.mark.portable
+
 
 def seeded(seed=0):
     return torch.Generator().manual_seed(seed)

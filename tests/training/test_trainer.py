@@ -22,6 +22,8 @@ from deblur_avatar.training.fusion_network import FusionNetwork
 from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit
 
+pytestmark = pytest.mark.portable
+
 CPU = torch.device("cpu")
 PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
 
