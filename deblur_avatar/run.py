@@ -202,7 +202,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def _whole(digits: str) -> int:
-    """A whole number; beyond 64 bits few things are that numbers are asked to be."""
+    """Parse an integer of JSON; one that does not fit into 64 bits is no number of a stage's."""
     value = int(digits)
     if not -MAX_VALUE <= value <= MAX_VALUE:
         raise ValueError(f"{digits:.20}... is no number that a stage writes")

@@ -13,7 +13,7 @@ import torch
 
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.readers.pickles import load_arrays
+from deblur_avatar.readers.foreign_arrays import load_arrays
 
 FPS = 60.0
 JOINTS = 24

@@ -15,7 +15,7 @@ import torch
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from deblur_avatar.readers.npz_files import load_npz
+from deblur_avatar.readers.foreign_arrays import load_npz
 
 BODY = 66  # numbers of the root and the 21 joints that all models of the family share
 RATES = ("mocap_framerate", "mocap_frame_rate")  # SMPL-H files and SMPL-X files

@@ -1,4 +1,4 @@
-"""Motions that need no file: functions of time, so that they exist at any frame rate.
+"""Built-in motions: functions of time, so that they exist at any frame rate.
 
 Conventions. SMPL's joints and axes: the T-pose has the left arm along +X, +Y is up, +Z in front; a
 positive turn about z raises the left arm and opens the left leg, a positive turn about x bends a

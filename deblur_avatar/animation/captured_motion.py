@@ -1,4 +1,4 @@
-"""The motion a person was filmed in, as one that any avatar can be shown in.
+"""Captured motion: the one a person was filmed in, for any avatar to be shown in.
 
 Frames may be unevenly spaced; what comes out is at an even rate, upright on the stage of
 `placement`.

@@ -1,4 +1,4 @@
-"""Motion that comes from elsewhere, to drive an avatar.
+"""Driving motion: poses or a skeleton's rotations over time, resampled.
 
 Conventions. The world has +Y up. Frames are equally spaced, `fps` of them a second. F frames,
 J joints of a source skeleton, parents before children.

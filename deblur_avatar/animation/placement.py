@@ -1,4 +1,4 @@
-"""A moving body, put upright in front of the camera that filmed the person.
+"""Placement: a moving body, upright in front of the camera that filmed the person.
 
 Conventions. The stage is the person's own: +Y up, +Z horizontally towards the camera, +X to the
 left of who faces the camera.

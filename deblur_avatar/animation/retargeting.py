@@ -1,4 +1,4 @@
-"""A motion of any humanoid skeleton as poses of SMPL's 24 joints.
+"""Retargeting: a motion of any humanoid skeleton as poses of SMPL's 24 joints.
 
 Files differ in joint names, in axes, in what their zero pose is (some mixamo exports have all bones
 along x) and in the local frames of joints. So nothing is taken from the zero pose alone: for each

@@ -1,4 +1,4 @@
-"""Which joint of a named skeleton is which of SMPL's.
+"""Rig mapping: which joint of a named skeleton is which of SMPL's.
 
 Names are compared without case, punctuation and anything up to a colon (`mixamorig:LeftArm`). Only
 the ends of limbs need names; spine, neck and collar bones are what lies between them in the tree.

@@ -1,4 +1,4 @@
-"""An avatar in a motion, seen by one camera: where the person goes, and the frames.
+"""Rendered animation: an avatar in a motion, placed and seen by one camera.
 
 Conventions. Pictures are square, `size` pixels; the camera stays where it is, looks at the person
 upright, and is cropped so that the whole motion fits.

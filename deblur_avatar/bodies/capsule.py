@@ -1,4 +1,4 @@
-"""A body made of capsules: SMPL's 24 joints, a few hundred vertices, built in milliseconds.
+"""The capsule body, for tests: SMPL's 24 joints, a few hundred vertices, built in milliseconds.
 
 Conventions. `Body`'s own: T-pose, +Y up, facing +Z, the left hand towards +X, metres. The pelvis is
 at the origin for every shape. Two shape numbers: beta 0 scales the body (5 % a unit), beta 1 makes

@@ -1,4 +1,4 @@
-"""A body's shape and pose as functions of `Body`.
+"""Posing: vertices and joints of a `Body` as functions of shape and pose.
 
 Conventions. SMPL's: `betas` shape, `global_orient` turns the body about its pelvis, `body_pose`
 turns each further joint relative to its parent, `transl` moves it last. Axis-angle, radians,

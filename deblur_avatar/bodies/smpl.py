@@ -2,7 +2,7 @@
 
 The model files of SMPL (smpl.is.tue.mpg.de, free for research after registration) are read where
 the user has put them and are never shipped: the original pickles of Python 2, whose classes stay
-strangers (`deblur_avatar.readers.pickles`), and `.npz` files with the same keys.
+strangers (`deblur_avatar.readers.foreign_arrays`), and `.npz` files with the same keys.
 """
 
 from pathlib import Path
@@ -20,8 +20,7 @@ from deblur_avatar.artifacts.body import (
 from deblur_avatar.config.reading import expand_environment, missing_file
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.readers.npz_files import load_npz
-from deblur_avatar.readers.pickles import Record, load_arrays
+from deblur_avatar.readers.foreign_arrays import Record, load_arrays, load_npz
 
 
 class SmplBodyParams(Params):

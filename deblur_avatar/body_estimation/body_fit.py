@@ -1,4 +1,4 @@
-"""One shape, and one pose a frame, from what one or several cameras see of a person.
+"""Body fitting: one shape, and one pose a frame, from one or several cameras' landmarks.
 
 Landmarks in space, triangulated or (one view) lifted, bring the body near; their projections and
 the mattes' outlines then refine it. Motion is a spline over the clip, solved for all frames at
@@ -149,8 +149,42 @@ def fit_body(
         raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
     if not any(bool(person.found.any()) for person in people):
         raise ArtifactError("no person found in any frame; check the videos")
+    problem, transl = _problem(body, cameras, recorded, people, timestamps)
+    unknowns = _solve(problem, transl)
+    posed = _pose(problem, unknowns)
+    poses = Poses(
+        betas=unknowns.betas,
+        global_orient=matrix_to_axis_angle(problem.orient @ axis_angle_to_matrix(posed.turn)),
+        body_pose=posed.body_pose,
+        transl=posed.transl,
+    )
+    lenses = zip(problem.Ks, problem.viewmats, strict=True)
+    projected = [project(posed.landmarks, *camera)[0] for camera in lenses]
+    residuals = (torch.stack(projected) - problem.pixels).norm(dim=-1)
+    prior = problem.one
+    if prior is None:
+        trust = torch.stack([person.found for person in people]).any(0).float()
+    else:
+        trust = prior.trust
+    return BodyFit(
+        poses=poses,
+        residuals=residuals * (problem.confidences > 0),
+        extent=problem.extent,
+        trust=trust,
+        flags={} if prior is None else prior.flags,
+    )
+
+
+def _problem(
+    body: Body,
+    cameras: Cameras,
+    recorded: tuple[int, ...],
+    people: list[Landmarks],
+    timestamps: Float[Tensor, " F"],
+) -> tuple[_Problem, Float[Tensor, "D 3"]]:
+    """What is known before the body is fitted, and a first guess of the root's control points."""
     marks = landmark_map()
-    rows, chosen = list(marks.rows), list(recorded)
+    rows, views = list(marks.rows), list(recorded)
     interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
     basis = spline_basis(timestamps, interval, KNOT_SECONDS)
     extent, one = _extent(people), None
@@ -163,9 +197,9 @@ def fit_body(
     confidences = torch.stack(
         [person.visibility[:, rows] * person.found[:, None] for person in people]
     )
-    lenses = cameras.Ks[chosen], cameras.viewmats[chosen]
+    Ks, viewmats = cameras.Ks[views], cameras.viewmats[views]
     if one is None:
-        found = triangulate(pixels, confidences, *lenses, OUTLIER_SHARE * extent)
+        found = triangulate(pixels, confidences, Ks, viewmats, OUTLIER_SHARE * extent)
         _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
     else:
         found = one.found
@@ -175,8 +209,8 @@ def fit_body(
         surface=_spread_points(body),
         marks=marks,
         limits=pose_limits(),
-        Ks=lenses[0],
-        viewmats=lenses[1],
+        Ks=Ks,
+        viewmats=viewmats,
         pixels=pixels,
         confidences=confidences,
         found=found,
@@ -187,24 +221,7 @@ def fit_body(
         interval=interval,
         extent=extent,
     )
-    unknowns = _solve(problem, transl)
-    posed = _pose(problem, unknowns)
-    poses = Poses(
-        betas=unknowns.betas,
-        global_orient=matrix_to_axis_angle(orient @ axis_angle_to_matrix(posed.turn)),
-        body_pose=posed.body_pose,
-        transl=posed.transl,
-    )
-    projected = [project(posed.landmarks, *camera)[0] for camera in zip(*lenses, strict=True)]
-    residuals = (torch.stack(projected) - pixels).norm(dim=-1)
-    seen = torch.stack([person.found for person in people]).any(0).float()
-    return BodyFit(
-        poses=poses,
-        residuals=residuals * (confidences > 0),
-        extent=extent,
-        trust=seen if one is None else one.trust,
-        flags={} if one is None else one.flags,
-    )
+    return problem, transl
 
 
 def _extent(people: list[Landmarks]) -> float:

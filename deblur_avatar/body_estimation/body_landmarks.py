@@ -1,4 +1,4 @@
-"""Which point of the body each landmark of the detector is.
+"""Landmark regression: which point of the body each of the detector's landmarks is.
 
 A landmark is a point of the rest pose glued to one joint, its carrier: the rest position of an
 anchor joint plus an offset. For limbs the anchor is the joint of the same name, and its carrier the

@@ -1,4 +1,4 @@
-"""Where a body is and how it is turned, from its torso alone, smoothly over the clip.
+"""Initialisation: root position and orientation from the torso, smooth over the clip.
 
 F frames, L landmarks, D control values of a uniform cubic B-spline over time.
 """

@@ -1,4 +1,4 @@
-"""How well a fitted body explains what each camera saw of it."""
+"""Fit residuals: how well a fitted body explains what each camera saw of it."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""One person's landmarks over a clip, cleared of what a detector gets wrong under blur.
+"""Landmark tracking: outliers that a detector produces under blur are taken out.
 
 Three mistakes are looked for: left and right exchanged for some frames (arms and legs apart),
 jumps to a wrong place and back, and losses, where a landmark is hardly seen. Exchanged ones are

@@ -1,4 +1,4 @@
-"""Where a person's landmarks are in a picture, and which pixels the person fills.
+"""Landmark and matte detection (MediaPipe).
 
 A detector is any function of the kind `PersonDetector`: MediaPipe's pose model here, keypoints
 and masks of the user's own elsewhere. Landmarks are MediaPipe's 33 (BlazePose's order), in pixels

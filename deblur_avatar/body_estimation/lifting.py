@@ -1,4 +1,4 @@
-"""Where landmarks are in space that one camera sees, with a detector's guess of their depth.
+"""2D-to-3D lifting: landmarks of one camera, with a detector's guess of their depth.
 
 A detector that sees one picture also guesses each landmark's place about the hips, in metres and in
 the camera's axes (`Landmarks.world`). Depth from the camera is not in it. That follows from size:

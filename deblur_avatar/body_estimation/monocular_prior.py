@@ -1,4 +1,4 @@
-"""What one view knows of a body beside its pictures: a rough shape in space, and feet that stand.
+"""The monocular prior: a detector's rough shape in space, and feet that stand still.
 
 One camera does not see depth. A detector's guess about the hips stands in for it, held loosely
 throughout the fit, and feet that do not move in the picture do not move in space either, which

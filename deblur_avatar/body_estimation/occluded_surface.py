@@ -1,4 +1,4 @@
-"""How much of the body's surface the training camera never sees.
+"""Occluded surface: the share of the body that the training camera never sees.
 
 The less it sees, the more must be taken over from what it does see.
 """

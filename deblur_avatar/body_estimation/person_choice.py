@@ -1,4 +1,4 @@
-"""Whom a detector follows where it sees one person at a time and several are there.
+"""Main person: whom to follow where a detector sees one at a time and several are there.
 
 Such a detector may lock on to a bystander. So the person it found is hidden and it is asked again,
 on some frames; if another one is larger and longer in the picture, that one is followed.

@@ -1,4 +1,4 @@
-"""How far human joints turn, roughly.
+"""Joint limits: how far human joints turn, roughly.
 
 Conventions. A joint's axis-angle vector in rest-pose axes (+X left, +Y up, +Z front; T-pose) is
 held between two corners of a box, in degrees, and drawn towards zero. This is coarse: it is there

@@ -1,4 +1,4 @@
-"""How well a body fills the mattes of several cameras, as distances in pixels.
+"""Silhouette loss: how well a body fills the mattes of several cameras, in pixels.
 
 Two distances: body points outside a matte, and points of a matte's outline that the body does not
 reach. Each alone is met by a body too thin or too stout. V views, F frames, P body points, Q

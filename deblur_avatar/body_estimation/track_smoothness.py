@@ -1,4 +1,4 @@
-"""How evenly a pose track moves: jumps are steps much faster than those before and after."""
+"""Pose track smoothness: jumps are steps much faster than those before and after."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Where in the world a landmark is that several cameras see.
+"""Triangulation of landmarks that several cameras see, without outliers.
 
 Conventions. V views, F frames, L landmarks; pixels and metres; a confidence of 0 means not seen.
 Detectors mistake left for right and the front for the back, in one view for many frames, so a view

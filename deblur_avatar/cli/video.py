@@ -72,7 +72,8 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
     content = _with_method(content, name, method, start) | {"schedule": schedule}
-    content = {"snapshots": shared["snapshots"]} | content | {"from": _places(content)}
+    snapshots = section_of(shared, root / PARAMS, "snapshots", int)
+    content = {"snapshots": snapshots} | content | {"from": _places(content)}
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / PARAMS, content)
     check_parameters(folder / PARAMS)

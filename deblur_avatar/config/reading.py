@@ -13,14 +13,12 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from ruamel.yaml import YAML
-from ruamel.yaml.nodes import CollectionNode
 
 from deblur_avatar.errors import ConfigError
 
 P = TypeVar("P")
 
 MAX_BYTES = 1 << 18  # of a parameter file; the root's has 10 kB, a megabyte takes ten seconds
-MAX_NODES, MAX_DEPTH = 100_000, 50  # with every alias written out; the root's has 1,500, 8 deep
 MAX_SHARED = 8  # files that name each other in turn
 KNOWN_BELOW = ("bodies", "scenes")  # sections that, empty, hide nothing of the shared file's
 
@@ -98,6 +96,8 @@ def parse(kind: Any, value: Any, where: str) -> Any:
     except ValidationError as error:
         complaints = [_complaint(item) for item in error.errors()]
         raise ConfigError(f"{where}: " + "; ".join(complaints)) from None
+    except RecursionError:  # an alias within what it stands for
+        raise ConfigError(f"{where}: it contains itself, or is nested far too deeply") from None
 
 
 def expand_environment(text: str, where: str) -> str:
@@ -142,7 +142,7 @@ def read_yaml(path: Path) -> Any:
     """Read a YAML 1.2 file as DVC does (`1e-3` is a number, `no` is a word).
 
     Raises:
-        ConfigError: if it is missing, is not YAML, or is or unfolds to far more than parameters.
+        ConfigError: if it is missing, is not YAML, or is far larger than parameters are.
     """
     try:
         with Path(path).open("rb") as file:
@@ -161,30 +161,7 @@ def read_yaml(path: Path) -> Any:
 
 @lru_cache(maxsize=8)  # a stage reads its parameters section by section
 def _yaml(text: bytes) -> Any:
-    """What YAML text holds, once its nodes show that it does not unfold to any size."""
-    yaml = YAML(typ="safe", pure=True)
-    node = yaml.compose(text)
-    _unfolded(node, {}, 0)
-    return None if node is None else yaml.constructor.construct_document(node)
-
-
-def _unfolded(node: Any, known: dict[int, int | None], depth: int) -> int:
-    """How many nodes one stands for with every alias below it written out."""
-    if id(node) in known:
-        count = known[id(node)]
-        if count is None:
-            raise ValueError(f"the alias of line {node.start_mark.line + 1} contains itself")
-        return count
-    if depth > MAX_DEPTH:
-        raise ValueError(f"line {node.start_mark.line + 1} is nested over {MAX_DEPTH} levels deep")
-    known[id(node)] = None
-    content = node.value if isinstance(node, CollectionNode) else ()
-    below = [part for item in content for part in (item if isinstance(item, tuple) else (item,))]
-    count = 1 + sum(_unfolded(part, known, depth + 1) for part in below)
-    if count > MAX_NODES:
-        raise ValueError(f"its aliases stand for over {MAX_NODES} values")
-    known[id(node)] = count
-    return count
+    return YAML(typ="safe", pure=True).load(text)
 
 
 def _tuples(value: Any) -> Any:

@@ -1,1 +1,1 @@
-"""Where things are."""
+"""Geometry: rotations, splines, linear blend skinning, cameras."""

@@ -1,4 +1,4 @@
-"""Joints that move, surfaces that follow.
+"""Linear blend skinning and forward kinematics.
 
 Conventions. `joint_transforms` are rigid 4x4 matrices from rest to posed, world-aligned at rest,
 metres. `parents[j] < j`, the root's parent is -1. `lbs_weights` are non-negative and each row sums

@@ -1,4 +1,4 @@
-"""From blurred frames to what fitting sees: straight, cropped pictures, mattes, one pose a frame.
+"""Preprocessing: undistorted crops, mattes and one body pose a frame, from blurred frames.
 
 Three sets of observations share cameras, crops and the split: the blurred frames, the sharp frames
 with the same poses (for `oracle`), and the sharp frames with exact poses (for `ceiling`).
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from pydantic import Field
 from torch import Tensor
 
@@ -121,20 +121,10 @@ def preprocess(
         params = _with_background(params, clip.frames[row], people[row])
         people = [_trimmed(f, p, params) for f, p in zip(clip.frames, people, strict=True)]
     mattes, sharp_mattes = _mattes(clip, row, params, people, detect)
-    shown = _frames_with_person(mattes, sharp_mattes)
-    fit: dict[str, Any] = {}
-    found_wrong: dict[str, int] = {}
-    weights = shown.float()
-    if params.poses == "given":
-        poses = _checked(clip.initial, "initial", body)
-    else:
-        fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
-        poses, stacks = fitted.poses, [person.mattes for person in people]
-        fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
-        found_wrong, weights = fitted.flags, weights * fitted.trust
-
-    _check_in_front(clip.cameras, clip.train_camera, body, poses, shown)
-    crops, cameras = _crops(clip.cameras, body, poses, params.margin, image_height)
+    shown = _frames_with_person(mattes)
+    track = _track(clip, body, params, people, shown)
+    _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
+    crops, cameras = _crops(clip.cameras, body, track.poses, params.margin, image_height)
     crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
     plate = background_plate(clip.frames[row], mattes) if params.background == "median" else None
 
@@ -152,8 +142,8 @@ def preprocess(
         crops=torch.tensor(crops, dtype=torch.float32),
         train_camera=clip.train_camera,
         body=body,
-        poses=poses,
-        weights=weights,
+        poses=track.poses,
+        weights=track.weights,
         frame_indices=clip.frame_indices,
         timestamps=clip.timestamps,
         exposure=clip.exposure,
@@ -161,7 +151,7 @@ def preprocess(
         train=train,
         validation=validation,
         depth_known=params.depth == "known",
-        hidden=hidden_share(body, poses.at(list(train)), cameras, clip.train_camera),
+        hidden=hidden_share(body, track.poses.at(list(train)), cameras, clip.train_camera),
     )
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
@@ -169,29 +159,60 @@ def preprocess(
         sharp = replace(blurred, frames=frames, mattes=cut_mattes, exposure=0.0)
         if clip.exact is not None:
             exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
-    track = measure_track(body, poses, clip.timestamps)
-    if track:
+    metrics = _metrics(blurred, shown, track)
+    return Preprocessed(blurred=blurred, sharp=sharp, exact=exact, metrics=metrics)
+
+
+@dataclass(frozen=True)
+class _Track:
+    """One pose a frame, how far each is to be trusted, and how well they fit the pictures."""
+
+    poses: Poses
+    weights: Float[Tensor, " F"]
+    fit: dict[str, Any]
+    flags: dict[str, int]
+
+
+def _track(
+    clip: BlurryClip,
+    body: Body,
+    params: PreprocessParams,
+    people: list[Landmarks],
+    shown: Bool[Tensor, " F"],
+) -> _Track:
+    """The poses that came with the clip, or a body fitted to what detectors found."""
+    if params.poses == "given":
+        return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {})
+    fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
+    stacks = [person.mattes for person in people]
+    fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
+    return _Track(fitted.poses, shown.float() * fitted.trust, fit, fitted.flags)
+
+
+def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) -> dict[str, Any]:
+    """Numbers of frames, and how well and how evenly the poses fit."""
+    smoothness = measure_track(blurred.body, track.poses, blurred.timestamps)
+    if smoothness:
         logger.info(
             "fastest joint %.1f m/s; the step that stands out most is %.2f times those around it "
             "(%s, frame %d)",
-            track["fastest_m_s"],
-            track["speed_ratio"],
-            track["joint"],
-            track["step"],
+            smoothness["fastest_m_s"],
+            smoothness["speed_ratio"],
+            smoothness["joint"],
+            smoothness["step"],
         )
-    metrics = {
+    return {
         "frames": {
             "total": len(shown),
             "without_person": int((~shown).sum()),
-            "train": len(train),
-            "validation": len(validation),
+            "train": len(blurred.train),
+            "validation": len(blurred.validation),
         },
         "hidden": blurred.hidden,
-        "fit": fit,
-        "landmarks_found_wrong": found_wrong,
-        "track": track,
+        "fit": track.fit,
+        "landmarks_found_wrong": track.flags,
+        "track": smoothness,
     }
-    return Preprocessed(blurred=blurred, sharp=sharp, exact=exact, metrics=metrics)
 
 
 def _straightened(clip: BlurryClip) -> BlurryClip:
@@ -290,13 +311,9 @@ def _checked(poses: Poses | None, name: str, body: Body) -> Poses:
     return poses
 
 
-def _frames_with_person(
-    mattes: UInt8[Tensor, "F H W"], sharp_mattes: UInt8[Tensor, "F H W"] | None
-) -> Bool[Tensor, " F"]:
-    """Which frames show someone, blurred and sharp alike."""
+def _frames_with_person(mattes: UInt8[Tensor, "F H W"]) -> Bool[Tensor, " F"]:
+    """Which blurred frames show someone; the sharp ones have no say in what is trained on."""
     shown = mattes.flatten(1).amax(1) >= FILLED
-    if sharp_mattes is not None:
-        shown = shown & (sharp_mattes.flatten(1).amax(1) >= FILLED)
     if not shown.any():
         raise ArtifactError("no frame shows a person: every mask is black; check masks and videos")
     if not shown.all():

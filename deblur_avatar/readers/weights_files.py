@@ -18,7 +18,7 @@ def load_pth(path: Path, sha256: str) -> dict[str, Tensor]:
 
     Args:
         path: of it.
-        sha256: of the published file, hexadecimal; its beginning where no more is published.
+        sha256: of the published file, hexadecimal.
 
     Raises:
         ArtifactError: if the file is missing or another one.
@@ -27,7 +27,7 @@ def load_pth(path: Path, sha256: str) -> dict[str, Tensor]:
     try:
         with path.open("rb") as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()
-            if not found.startswith(sha256):
+            if found != sha256:
                 raise ArtifactError(
                     f"{path} is not the published file: its SHA-256 is {found[:16]}..., wanted "
                     f"{sha256[:16]}...; take the file from its publisher"

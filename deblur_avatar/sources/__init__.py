@@ -1,1 +1,1 @@
-"""Where footage comes from."""
+"""Sources of footage: the studio, data sets, calibrated cameras, one's own video."""

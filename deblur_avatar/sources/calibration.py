@@ -1,4 +1,4 @@
-"""How calibration files become cameras.
+"""Calibration files: Qualisys, Pose2Sim and COLMAP as cameras.
 
 One reader a kind of file, chosen by how the file's name ends; a folder is COLMAP's. A reader turns
 its format's axes, units and pixel origin into those of `Cameras`: OpenCV axes, metres, the centre

@@ -1,4 +1,4 @@
-"""Where footage lies: a source's root folder, and the files below it that others name."""
+"""Footage folders: a source's root folder, and the files below it that others name."""
 
 import re
 from pathlib import Path

@@ -24,7 +24,7 @@ from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from deblur_avatar.readers.npz_files import load_npz
+from deblur_avatar.readers.foreign_arrays import load_npz
 from deblur_avatar.sources.missing_poses import fill_missing, without_pose
 
 KEYS = ("poses", "global_orient", "body_pose", "transl", "betas", "viewmats")
@@ -71,7 +71,6 @@ def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Bo
             f"{path}: betas are {len(betas)} numbers, the body has {shapes}; shape numbers are of "
             "one body model: name that model under bodies, or change shape_components"
         )
-    chosen = list(numbers)
     rows = [number - first for number in numbers]
     try:
         poses = Poses(
@@ -84,15 +83,19 @@ def read_poses(path: Path, numbers: tuple[int, ...], total: int | None, body: Bo
         raise ArtifactError(f"{path}: {error}") from None
     if "viewmats" not in arrays:
         return poses
-    viewmats = arrays["viewmats"]
-    if viewmats.shape == (4, 4):
-        viewmats = np.broadcast_to(viewmats, (frames, 4, 4)).copy()
-    cameras = _checked({"viewmats": viewmats}, "viewmats", (frames, 4, 4), path)[chosen]
+    cameras = _viewmats(arrays["viewmats"], frames, path)[list(numbers)]
     try:
         check_cameras(torch.eye(3).repeat(len(cameras), 1, 1), cameras)
     except ValueError as error:
         raise ArtifactError(f"{path}: {error}") from None
     return before_still_camera(poses, cameras, shaped_joints(body, poses.betas)[0])
+
+
+def _viewmats(viewmats: np.ndarray, frames: int, path: Path) -> Float[Tensor, "F 4 4"]:
+    """Every frame's camera; one for all is repeated."""
+    if viewmats.shape == (4, 4):
+        viewmats = np.broadcast_to(viewmats, (frames, 4, 4)).copy()
+    return _checked({"viewmats": viewmats}, "viewmats", (frames, 4, 4), path)
 
 
 def before_still_camera(

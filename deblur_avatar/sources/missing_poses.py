@@ -1,4 +1,4 @@
-"""Poses of frames that have none, from the frames around them.
+"""Interpolation of missing poses from the frames around them.
 
 An estimator that loses the person leaves gaps. A body does not go far in a short one, and the
 trajectory that is fitted later moves every pose anyway.

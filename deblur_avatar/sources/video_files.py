@@ -1,4 +1,4 @@
-"""How a video file becomes frames.
+"""Video decoding: a file as frames and timestamps.
 
 Conventions. Frames are upright (the container's rotation is applied) 8-bit RGB; timestamps are the
 container's, in seconds.

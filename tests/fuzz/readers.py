@@ -5,7 +5,6 @@ A reader that is missing here is found by `test_readers.py` beside it.
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import pickle
 import struct
@@ -18,8 +17,24 @@ import torch
 from PIL import Image
 from scipy import sparse
 
-from deblur_avatar import artifacts, run
+from deblur_avatar import run
 from deblur_avatar.animation.motion_files import read_motion
+from deblur_avatar.artifacts import (
+    avatar,
+    body,
+    cameras,
+    checkpoint,
+    clip,
+    motion,
+    observations,
+    poses,
+    reference,
+)
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.body import SMPL_PARENTS, Body
+from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.storage import Artifact
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.bodies.smpl import read_smpl
@@ -32,7 +47,6 @@ from deblur_avatar.evaluation.costs import (
     read_costs,
     with_seconds,
 )
-from deblur_avatar.imaging import lpips
 from deblur_avatar.imaging.picture_files import read_mask, read_picture, write_light
 from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.pipeline.report import read_results
@@ -81,6 +95,7 @@ def _write_parameters(folder: Path) -> None:
     }  # fmt: skip
     below = {section: {key: content[section][key]} for section, key in used.items()}
     below |= {"check": content["check"], "animations": {}, "predeblur": {}}
+    below |= {"from": content["from"], "checks": [], "timelines": {}, "reports": []}
     above = {"shared": "below.yaml", "seed": 0, "snapshots": 0, "schedule": content["schedule"]}
     (folder / "below.yaml").write_text(json.dumps(below, indent=1))
     (folder / "params.yaml").write_text(json.dumps(above, indent=1))
@@ -89,9 +104,10 @@ def _write_parameters(folder: Path) -> None:
 def _write_avatar(folder: Path) -> None:
     """What `make avatar` wrote for one video."""
     methods = {"lean": {}}
-    shared = {"methods": methods, "starts": methods, "schedules": {"medium": {}}}
+    shared = {"methods": methods, "starts": methods, "schedules": {"medium": {}}, "snapshots": 0}
     clip = {"path": str((folder / "film.mp4").resolve())}
     own = {"scenes": {"me": {"clip": clip}}, "warmups": {}, "runs": {}, "animations": {}}
+    own |= {"bodies": {}}
     (folder / "params.yaml").write_text(json.dumps(shared))
     place = folder / own_video.AVATARS / "me" / "params.yaml"
     place.parent.mkdir(parents=True)
@@ -159,8 +175,8 @@ def _write_views(folder: Path) -> None:
 # --- artifacts ----------------------------------------------------------------------------------
 
 
-def _cameras() -> artifacts.Cameras:
-    return artifacts.Cameras(
+def _cameras() -> Cameras:
+    return Cameras(
         Ks=torch.tensor([[[40.0, 0, 4], [0, 40.0, 3], [0, 0, 1]]]),
         viewmats=torch.eye(4)[None],
         distortion=torch.zeros(1, 5),
@@ -169,8 +185,8 @@ def _cameras() -> artifacts.Cameras:
     )
 
 
-def _poses(frames: int = FRAMES) -> artifacts.Poses:
-    return artifacts.Poses(
+def _poses(frames: int = FRAMES) -> Poses:
+    return Poses(
         betas=torch.zeros(1),
         global_orient=torch.zeros(frames, 3),
         body_pose=torch.zeros(frames, 1, 3),
@@ -178,8 +194,8 @@ def _poses(frames: int = FRAMES) -> artifacts.Poses:
     )
 
 
-def _body() -> artifacts.Body:
-    return artifacts.Body(
+def _body() -> Body:
+    return Body(
         vertices=torch.eye(3),
         shape_dirs=torch.ones(3, 3, 1),
         joints=torch.zeros(2, 3),
@@ -256,13 +272,24 @@ def example(kind: type[Artifact]) -> Artifact:
         "Checkpoint": {"iteration": 3, "tensors": {"a": torch.ones(2), "b": torch.arange(2)}},
     }  # fmt: skip
     if kind is run_folder.Snapshot:
-        return kind(avatar=example(artifacts.Avatar), motion=example(artifacts.Motion))
+        return kind(avatar=example(Avatar), motion=example(Motion))
     return kind(**fields[kind.__name__])
 
 
 ARTIFACTS = tuple(
     kind
-    for module in (artifacts, run_folder)
+    for module in (
+        avatar,
+        body,
+        cameras,
+        checkpoint,
+        clip,
+        motion,
+        observations,
+        poses,
+        reference,
+        run_folder,
+    )
     for kind in vars(module).values()
     if isinstance(kind, type)
     and issubclass(kind, Artifact)
@@ -376,7 +403,7 @@ def _motion(path: Path) -> object:
 
 def _smpl() -> dict[str, object]:
     rng = np.random.default_rng(0)
-    parents = np.array([2**32 - 1, *artifacts.SMPL_PARENTS[1:]], np.uint32)
+    parents = np.array([2**32 - 1, *SMPL_PARENTS[1:]], np.uint32)
     return {
         "v_template": rng.normal(size=(4, 3)).astype(np.float32),
         "shapedirs": rng.normal(size=(4, 3, 2)).astype(np.float32),
@@ -504,28 +531,6 @@ def _write_zju_poses(folder: Path) -> None:
         np.save(folder / f"{zju_poses.VERTICES}/{frame}.npy", BODY.vertices.numpy())
 
 
-# --- weights of a metric ------------------------------------------------------------------------
-
-_TINY_VGG = mock.patch.object(lpips, "STAGES", ((2,),) * 5)
-_PUBLISHED: dict[str, str] = {}  # what stands for the hashes of the published files
-
-
-def _write_weights(folder: Path, zipped: bool = True) -> None:
-    with _TINY_VGG:
-        model = lpips.Lpips()
-    trunk = {f"features.{name}": value for name, value in model.features.state_dict().items()}
-    torch.save(trunk, folder / "vgg.pth", _use_new_zipfile_serialization=zipped)
-    heads = {f"lin{i}.model.1.weight": torch.ones(1, 2, 1, 1) for i in range(5)}
-    torch.save(heads, folder / "heads.pth", _use_new_zipfile_serialization=zipped)
-    for name, constant in (("vgg.pth", "WEIGHTS_SHA256"), ("heads.pth", "HEADS_SHA256")):
-        _PUBLISHED[constant] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-
-
-def _weights(folder: Path) -> object:
-    with _TINY_VGG, mock.patch.multiple(lpips, **_PUBLISHED):
-        return lpips.load_lpips(folder / "vgg.pth", folder / "heads.pth").state_dict()
-
-
 READERS: tuple[Reader, ...] = (
     Reader("parameters", _write_parameters, lambda f: check_parameters(f / "params.yaml")),
     Reader("own avatar", _write_avatar, _avatar),
@@ -568,6 +573,4 @@ READERS: tuple[Reader, ...] = (
     Reader("video .mkv", lambda f: _write_film(f, "mkv"), lambda f: _footage(f / "film.mkv")),
     Reader("ZJU-MoCap", _write_annotations, _sequence),
     Reader("ZJU-MoCap poses", _write_zju_poses, lambda f: zju_poses.read_poses(f, [0, 1], BODY)),
-    Reader("LPIPS weights", _write_weights, _weights),
-    Reader("older LPIPS weights", lambda f: _write_weights(f, zipped=False), _weights),
 )

@@ -1,7 +1,7 @@
 """Hostile files that chance would hardly find: bombs, false sizes, and orders to run something.
 
-Everything that would run leaves a trace in the audit log of `guarded`: it writes a file, or calls
-a command. Sizes that are claimed are terabytes.
+Everything that would run leaves a trace in the audit log (`__main__.py`): it writes a file, or
+calls a command. Sizes that are claimed are terabytes.
 """
 
 import builtins
@@ -30,11 +30,10 @@ def recipes(suffix: str, good: bytes) -> Iterator[bytes]:
     yield from {
         ".json": _json, ".yaml": _yaml, ".txt": _xml, ".toml": _toml, ".bvh": _bvh, ".npz": _npz,
         ".npy": _npy, ".safetensors": _safetensors, ".mp4": _films, ".mkv": _films,
-        ".pth": _weights,
     }.get(suffix, _pictures if suffix in PICTURES else _nothing)(good)  # fmt: skip
 
 
-PICKLES = (".pkl", ".npy", ".npz", ".pth")
+PICKLES = (".pkl", ".npy", ".npz")
 PICTURES = (".png", ".jpg", ".tif", ".bmp", ".webp", ".exr")
 
 
@@ -73,13 +72,6 @@ def _json(good: bytes) -> Iterator[bytes]:
 
 
 def _yaml(good: bytes) -> Iterator[bytes]:
-    for form in ("[{}]", "{{<<: [{}]}}", "{{a: {}}}"):
-        lines = ["x0: &x0 {a: 1}"]
-        for level in range(1, 40):
-            aliases = [f"*x{level - 1}"] * 9
-            inside = ", ".join(aliases) if "a:" not in form else aliases[0] + ", b: " + aliases[0]
-            lines.append(f"x{level}: &x{level} {form.format(inside)}")
-        yield "\n".join(lines).encode()
     yield from (
         b"a: &a [*a]", b"&a {a: *a}", b"a: &a\n  <<: *a", b"a: 2001-13-45", b"a: !!int ''",
         b"a: !!python/object/apply:os.system ['" + CANARY.encode() + b"']", b"%YAML 9.9\n---\na: 1",
@@ -357,19 +349,6 @@ def _programs() -> Iterator[bytes]:
         + b"\x85R."
     )
     yield b"\x80\x02cbuiltins\nfrozenset\n" + b")" + b"\x85" * 50_000 + b"\x85R."
-
-
-def _weights(good: bytes) -> Iterator[bytes]:
-    """Programs in place of what names the tensors, in both forms of torch's files."""
-    if not good.startswith(b"PK"):
-        begin = good.index(b"\x80\x02", good.index(b"little_endian"))
-        yield from (good[:begin] + program + good[begin:] for program in _programs())
-        return
-    yield from _npz(good)
-    with zipfile.ZipFile(io.BytesIO(good)) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    name = next(name for name in members if name.endswith("data.pkl"))
-    yield from (_zip({**members, name: program}) for program in _programs())
 
 
 # --- tensors ------------------------------------------------------------------------------------

@@ -330,3 +330,16 @@ def test_keypoints_and_masks_of_the_user_s_own_are_preferred(
     made = run(own, body, OneCamera(wrong), poses="estimated", masks="given")
     assert torch.equal(made.blurred.mattes, true.mattes)
     assert made.metrics["fit"]["cam1"]["reprojection_px"] < 3
+
+
+def test_sharp_mattes_have_no_say_in_what_is_trained_on(body: Body, clip: BlurryClip):
+    sharp_mattes = clip.sharp_mattes.clone()
+    sharp_mattes[0] = 0
+    changed = dataclasses.replace(clip, sharp_mattes=sharp_mattes)
+    sets = [
+        preprocess(each, body, params(), image_height=SIZE[1], detect=nobody).blurred
+        for each in (clip, changed)
+    ]
+    assert sets[0].train == sets[1].train
+    assert sets[0].validation == sets[1].validation
+    assert torch.equal(sets[0].weights, sets[1].weights)

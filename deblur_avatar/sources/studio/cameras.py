@@ -1,4 +1,4 @@
-"""Where the studio's cameras stand.
+"""The studio's cameras: a ring around the person.
 
 Conventions. World: +Y up, the floor at y = 0, metres; camera 0 stands on +Z and trains, the others
 stand on a circle around the person and test.

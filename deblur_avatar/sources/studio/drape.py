@@ -1,4 +1,4 @@
-"""How cloth leaves the place that skinning gives it, as a smooth function of the pose.
+"""Cloth offsets from skinning, as smooth functions of the pose.
 
 Conventions. Rest pose, metres. Two effects, both along the rest normal: loose cloth sags to where
 down is, and folds rise where a joint bends. It never sinks below its slack. J joints, P vertices.

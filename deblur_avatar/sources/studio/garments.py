@@ -1,4 +1,4 @@
-"""Which garments there are, where they begin and end, and how loose they hang.
+"""Garments: where each begins and ends, and how loose it hangs.
 
 Conventions. The rest pose of `Body`: T-pose, +Y up, facing +Z, the left hand towards +X, metres. A
 garment covers the part of the body where its field is positive; fields are distances from the hems,

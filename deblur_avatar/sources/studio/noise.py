@@ -1,4 +1,4 @@
-"""How wrong the first poses of a clip are."""
+"""Pose noise: correlated errors of the poses that fitting starts from."""
 
 import torch
 from jaxtyping import Float

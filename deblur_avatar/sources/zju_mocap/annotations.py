@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import check_cameras
-from deblur_avatar.readers.pickles import load_npy
+from deblur_avatar.readers.foreign_arrays import load_npy
 
 PIXEL_CENTRE = 0.5  # ours; OpenCV puts the top left pixel's centre at 0
 MILLIMETRES = 1000.0

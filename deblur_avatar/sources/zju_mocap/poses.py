@@ -8,6 +8,7 @@ the root), `Rh` [1,3], `Th` [1,3], `shapes` [1,B]. The body X(poses, shapes) is 
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed, shaped_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from deblur_avatar.readers.pickles import load_npy
+from deblur_avatar.readers.foreign_arrays import load_npy, load_npy_files
 from deblur_avatar.sources.folders import file_inside
 
 logger = logging.getLogger(__name__)
@@ -50,7 +51,8 @@ def read_poses(root: Path, numbers: Sequence[int], body: Body) -> Poses:
             f"{folder}: no {missing}.npy, {len(there)} of {len(numbers)} frames have parameters; "
             "keep clip.frames to those, or set clip.poses to none and preprocess.poses to estimated"
         )
-    rows = [_read_frame(file_inside(root, f"{PARAMETERS}/{number}.npy")) for number in numbers]
+    paths = [file_inside(root, f"{PARAMETERS}/{number}.npy") for number in numbers]
+    rows = [_one_frame(*pair) for pair in zip(paths, load_npy_files(paths), strict=True)]
     if len({len(row[3]) for row in rows}) > 1:
         raise ArtifactError(
             f"{folder}: shapes are of as many numbers in every frame, these are not"
@@ -69,9 +71,8 @@ def read_poses(root: Path, numbers: Sequence[int], body: Body) -> Poses:
     return converted
 
 
-def _read_frame(path: Path) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _one_frame(path: Path, content: Any) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Poses [24,3], Rh [3], Th [3], shapes [B] of one frame."""
-    content = load_npy(path)
     keys = ("poses", "Rh", "Th", "shapes")
     if not isinstance(content, dict) or not set(keys) <= content.keys():
         found = ", ".join(content) if isinstance(content, dict) else "an array"
