@@ -1,4 +1,4 @@
-"""How many pictures become one that can be looked at: rows of labelled thumbnails."""
+"""Contact sheets: rows of labelled pictures in one picture."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,6 @@
-"""The one ruler: how far a picture is from the truth.
+"""Image metrics: how far a render is from the ground truth.
+
+The table of those that are reported is `evaluation/metrics.py`.
 
 Conventions. Images are sRGB in [0, 1] (`render` is clamped to it, as any display would), masks are
 boolean, B pictures a call; every metric returns one value a picture, computed in float64. A mask

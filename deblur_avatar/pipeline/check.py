@@ -1,4 +1,4 @@
-"""Whether a scene is fit for training, found out before an hour is spent on it.
+"""The self-check of a scene: whether it is fit for training, before an hour is spent on it.
 
 Each finding is one number with a verdict (`ok`, `warn`, `fail`, or `unknown` where it could not be
 measured) and, unless all is well, a sentence of what to do. Pixels are those of the observations;

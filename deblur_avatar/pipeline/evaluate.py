@@ -1,4 +1,4 @@
-"""How good an avatar and its motion are, against a truth that fitting never saw.
+"""Evaluation of an avatar and its motion against a ground truth that fitting never saw.
 
 Novel views: training instants in the poses refined on the training camera, seen by the other
 cameras. Novel poses: the part of the clip kept from training, in true poses where they are known,

@@ -1,4 +1,4 @@
-"""What `check` saw: mask, body and skeleton over sample frames, and the scene from above.
+"""Pictures of the check: mask, body and skeleton over sample frames, and the scene from above.
 
 Outlines: yellow the mask, blue the body; bones are white on the middle, red on the left and green
 on the right. From above, the camera looks along its cone at the path of the pelvis; strokes show

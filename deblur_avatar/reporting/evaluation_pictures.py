@@ -1,4 +1,4 @@
-"""What a person should look at beside the numbers: renders next to the truth, and all sides."""
+"""Pictures of an evaluation: renders beside the ground truth, error maps, a turntable."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -68,9 +68,9 @@ def draw_pictures(
         the training camera took at that time; the index tells which is which.
     """
     if not comparisons:
-        explained, index = reconstruct_held_out(avatar, motion, observations, NOVEL_VIEWS, device)
-        files = {name: picture.numpy() for name, picture in explained.items()}
-        files["strip.png"] = _explained_strip(files, index)
+        held_out, index = reconstruct_held_out(avatar, motion, observations, NOVEL_VIEWS, device)
+        files = {name: picture.numpy() for name, picture in held_out.items()}
+        files["strip.png"] = _held_out_strip(files, index)
         files["turntable.png"] = turntable(avatar, observations, device)
         return Pictures(files, index)
     chosen = [
@@ -155,7 +155,7 @@ def _strip(pictures: Sequence[Picture], index: Sequence[dict[str, Any]]) -> Pict
     return contact_sheet(pictures, len(index), labels)
 
 
-def _explained_strip(files: dict[str, Picture], index: Sequence[dict[str, Any]]) -> Picture:
+def _held_out_strip(files: dict[str, Picture], index: Sequence[dict[str, Any]]) -> Picture:
     """Blurred frames in the first row, averaged renders in the second, sharp ones in the third."""
     labels = [f"frame {entry['frame']}, blurred" for entry in index]
     labels += [f"averaged render: {entry['psnr']:.1f} dB" for entry in index]

@@ -1,4 +1,4 @@
-"""The same test views drawn by every method, side by side, cut to the person.
+"""Strips of pictures: the same test view as every method renders it, cut to the person.
 
 Conventions. `evaluate` leaves one folder a run: `views.json`, a list of views (`camera`, `frame`,
 `novel_pose`), and for each the names of its pictures: `render`, `truth`, and `blurred`, the frame

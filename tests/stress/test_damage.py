@@ -109,23 +109,38 @@ def test_few_frames_are_the_first_ones_of_everything(clip):
     torch.testing.assert_close(short.frames, clip.frames[:, :4])
 
 
-def test_masks_grow_shrink_and_harden(clip):
+def test_masks_grow_and_shrink(clip):
     area = (clip.mattes > 127).sum()
     assert (damaged(clip, "masks_dilated_px", 1.0).mattes > 127).sum() > area
     assert (damaged(clip, "masks_eroded_px", 1.0).mattes > 127).sum() < area
+
+
+def test_holes_take_the_share_of_a_mask_that_was_asked_for(clip):
+    area = (clip.mattes > 127).sum()
     holes = damaged(clip, "masks_holes_share", 0.2).mattes
-    lost = 1 - float((holes > 127).sum()) / float(area)
-    assert lost == pytest.approx(0.2, abs=0.1)
+    assert 1 - float((holes > 127).sum()) / float(area) == pytest.approx(0.2, abs=0.1)
+
+
+def test_hard_masks_are_all_or_nothing(clip):
     assert set(damaged(clip, "masks_above", 127.0).mattes.unique().tolist()) == {0, 255}
+
+
+def test_as_many_masks_are_swapped_as_were_asked_for(clip):
     swapped = damaged(clip, "masks_swapped", 3.0).mattes
     assert sum(not torch.equal(a, b) for a, b in zip(swapped[0], clip.mattes[0], strict=True)) == 3
 
 
-def test_light_is_changed_as_a_camera_would(clip):
+def test_a_ramp_of_gain_goes_from_dark_to_bright(clip):
     ramp = damaged(clip, "gain_ramp_stops", 1.0).frames[0].float().mean((1, 2, 3))
     plain = clip.frames[0].float().mean((1, 2, 3))
     assert ramp[0] < 0.8 * plain[0]
     assert ramp[-1] > 1.1 * plain[-1]
+
+
+def test_clipped_frames_have_no_code_above_the_limit(clip):
     assert int(damaged(clip, "clipped_at", 180.0).frames.max()) == 180
+
+
+def test_the_averaging_space_is_linear_for_one_damage_alone():
     assert averaged_light({"averaged_linear": 1.0}) == "linear"
     assert averaged_light({"declared_linear": 1.0}) == "srgb"

@@ -255,10 +255,10 @@ def test_the_pipeline_runs_every_mode_of_the_parameters_with_every_method():
     content = read_params(PARAMS)
     for method in METHODS:
         pipeline = read_params(ROOT / "stability" / method / "dvc.yaml")
-        assert pipeline["vars"] == ["../params.yaml:modes"]
+        assert pipeline["vars"] == ["../params.yaml:modes", {"method": method}]
         stage = pipeline["stages"]["stability"]
         assert stage["foreach"] == "${modes}"
-        assert f"--mode ${{key}} --method {method} " in stage["do"]["cmd"]
+        assert "--mode ${key} --method ${method} " in stage["do"]["cmd"]
     used = {s["scene"] for mode in content["modes"].values() for s in mode["severities"].values()}
     assert used == set(content["scenes"])
     for mode in content["modes"]:
