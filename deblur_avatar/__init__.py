@@ -25,7 +25,7 @@ if os.environ.get("DEBLUR_AVATAR_CHECK_SHAPES") == "1":
 # Where each name comes from: module and attribute. Not imported here, so that what a stage runs
 # stays what it imports itself.
 _FRONT_DOOR = {
-    "rasterize": ("rendering", "rasterize"),
+    "rasterize": ("rendering.rasterize", "rasterize"),
     "load_avatar": ("library", "load_avatar"),
     "rest_pose": ("library", "rest_pose"),
     "render": ("avatars.model", "render_avatar"),

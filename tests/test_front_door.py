@@ -57,7 +57,7 @@ def test_importing_the_package_imports_nothing_of_it():
     )
     loaded, lacking, rest = done.stdout.splitlines()
     assert (loaded, lacking) == ("[]", "[]")
-    assert rest.startswith("deblur_avatar.rendering ")
+    assert rest.startswith("deblur_avatar.rendering.rasterize ")
 
 
 @pytest.mark.parametrize("name", deblur_avatar.__all__)

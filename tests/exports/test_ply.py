@@ -13,7 +13,8 @@ from deblur_avatar.exports.posed_gaussians import axes_of
 from deblur_avatar.exports.registry import ExportParams
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.motion.frame import FixedMotion
-from deblur_avatar.rendering import covariances, rasterize
+from deblur_avatar.rendering.covariances import covariances
+from deblur_avatar.rendering.rasterize import rasterize
 
 C0 = 0.5 / np.sqrt(np.pi)
 SIZE = 96
