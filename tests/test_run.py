@@ -33,6 +33,12 @@ def test_seeds_are_the_same_on_every_machine_and_differ_between_stages_and_items
     assert all(0 <= seed < 2**32 for seed in seeds)
 
 
+def test_what_was_renamed_draws_what_it_drew_before():
+    # The seed of fusion@studio-blind, as its results in git were made.
+    assert run.derive_seed(0, "fusion", "studio-agnostic") == 2234952903
+    assert run.derive_seed(0, "fusion", "agnosticism") != run.derive_seed(0, "fusion", "blindism")
+
+
 def draws(seed, item="studio"):
     with run.stage("warmup", item, seed) as context:
         own = torch.rand(3, generator=context.generator, device=context.device).tolist()
