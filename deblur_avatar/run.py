@@ -36,7 +36,7 @@ KEPT_BYTES = 1 << 30
 MAX_VALUE = 2**63 - 1  # of whole numbers
 
 # Names that seeds are derived from, by today's words: what was renamed draws what it drew before.
-SEED_NAMES = {"agnostic": "blind"}
+SEED_NAMES = {"agnostic": "blind", "learning_curve": "timeline"}
 
 logger = logging.getLogger(__name__)
 

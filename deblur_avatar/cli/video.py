@@ -200,7 +200,13 @@ def _with_method(content: dict[str, Any], name: str, method: str, start: str) ->
     }
     run = f"{name}-{method}"
     return (
-        {"bodies": {}, "predeblur": {}, "checks": [name], "timelines": {}, "reports": ["reports"]}
+        {
+            "bodies": {},
+            "predeblur": {},
+            "checks": [name],
+            "learning_curves": {},
+            "reports": ["reports"],
+        }
         | content
         | {
             "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],

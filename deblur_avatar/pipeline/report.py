@@ -105,7 +105,7 @@ def make_report(
         runs: by name, `<scene>-<method>`; those without results are left out.
         animated: names of those that were animated.
         metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
-            `timeline/<run>.json`, `cost/<stage>/<item>.json`.
+            `learning_curve/<run>.json`, `cost/<stage>/<item>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
 
@@ -209,7 +209,7 @@ def read_learning_curves(metrics: Path, runs: Mapping[str, RunParams]) -> dict[s
     """
     found: dict[str, Results] = {}
     for name, run_params in sorted(runs.items()):
-        path = metrics / "timeline" / f"{name}.json"
+        path = metrics / "learning_curve" / f"{name}.json"
         if path.exists():
             content = _read(path)
             points = content.get("points")

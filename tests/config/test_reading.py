@@ -92,7 +92,7 @@ def test_a_run_of_a_scene_that_does_not_exist_is_refused(tmp_path):
         check_parameters(written(tmp_path, broken))
 
 
-@pytest.mark.parametrize("stage", ["blur", "cost", "timeline"])
+@pytest.mark.parametrize("stage", ["blur", "cost", "learning_curve"])
 def test_a_scene_that_is_named_like_a_stage_is_refused(tmp_path, stage):
     text = (ROOT / "params.yaml").read_text()
     scene = json.dumps(read_yaml(ROOT / "params.yaml")["scenes"]["studio"])

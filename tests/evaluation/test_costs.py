@@ -59,7 +59,7 @@ SECONDS = {"warmup": 4.0, "trajectory": 6.0, "fusion": 2.0}
 
 
 def kept(folder, snapshots):
-    """Write what three stages measured, and a timeline of what they kept."""
+    """Write what three stages measured, and a learning curve of what they kept."""
     for stage, item in ITEMS.items():
         path = folder / stage / f"{item}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -83,19 +83,19 @@ def test_without_snapshots_there_are_the_ends_of_stages(tmp_path):
 
 
 def test_times_of_another_run_than_the_timeline_are_refused(tmp_path):
-    timeline = kept(tmp_path, SNAPSHOTS)
-    timeline["points"][2]["iteration"] = 5
+    curve = kept(tmp_path, SNAPSHOTS)
+    curve["points"][2]["iteration"] = 5
     message = r"trajectory/hall-oracle\.json knows no snapshot of iteration 5; .* `dvc repro`"
     with pytest.raises(ArtifactError, match=message):
-        with_seconds(timeline, tmp_path, RUN)
+        with_seconds(curve, tmp_path, RUN)
 
 
 @pytest.mark.parametrize("seconds", ["1.0", "nan", [1.0], None, 10**400])
 @pytest.mark.parametrize("where", ["stage", "snapshot"])
 def test_times_that_are_no_numbers_are_named(tmp_path, seconds, where):
-    timeline = kept(tmp_path, SNAPSHOTS)
+    curve = kept(tmp_path, SNAPSHOTS)
     taken = [{"iteration": 6, "seconds": seconds if where == "snapshot" else 1.0}]
     cost = {"seconds": seconds if where == "stage" else 1.0, "snapshots": taken}
     (tmp_path / "trajectory/hall-oracle.json").write_text(json.dumps(cost))
     with pytest.raises(ArtifactError, match=r"trajectory/hall-oracle\.json"):
-        with_seconds(timeline, tmp_path, RUN)
+        with_seconds(curve, tmp_path, RUN)

@@ -16,8 +16,8 @@ def write(folder, seed, method, psnr):
 
 
 def watch(folder, seed, method, curve):
-    """Write a timeline: seconds and PSNR after 10, 20, ... iterations."""
-    path = folder / f"seed_{seed}" / "metrics" / "timeline" / f"studio-{method}.json"
+    """Write a learning curve: seconds and PSNR after 10, 20, ... iterations."""
+    path = folder / f"seed_{seed}" / "metrics" / "learning_curve" / f"studio-{method}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     points = [
         {"stage": "fusion", "iteration": 10 * place,

@@ -146,7 +146,7 @@ def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
     text = (tmp_path / kernel).read_text()
     assert moved(tmp_path, kernel, text, f"// a comment\n{text}") == set()
     renders = moved(tmp_path, kernel, text, f"{text}\nint more;\n")
-    assert renders == FITTING | {"evaluate", "timeline", "animate"}
+    assert renders == FITTING | {"evaluate", "learning_curve", "animate"}
     metrics = "deblur_avatar/imaging/metrics.py"
     text = (tmp_path / metrics).read_text()
     scores = moved(tmp_path, metrics, text, f"{text}\nMORE = 0.5\n")
@@ -159,7 +159,7 @@ def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
         "trajectory",
         "fusion",
     }
-    assert scores >= {"score_blur", "score_predeblur", "evaluate", "timeline"}
+    assert scores >= {"score_blur", "score_predeblur", "evaluate", "learning_curve"}
 
 
 def test_refreshing_writes_fingerprints_and_copies_where_the_pipeline_runs(project):

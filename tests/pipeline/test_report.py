@@ -56,8 +56,8 @@ def build_project(folder):
                 views.append({"camera": "left", "frame": frame, "novel_pose": frame == 7, **names})
             write_json(drawn / "views.json", views)
     points = [{"stage": "fusion", "iteration": i, "image": {"psnr": 20.0 + i}} for i in (1, 5)]
-    timeline = {"scene": "studio", "method": "paper", "disk_mb": 1.5, "points": points}
-    write_json(folder / "metrics/timeline/studio-paper.json", timeline)
+    curve = {"scene": "studio", "method": "paper", "disk_mb": 1.5, "points": points}
+    write_json(folder / "metrics/learning_curve/studio-paper.json", curve)
     write_json(folder / "metrics/blur/studio.json", {"scene": "studio", "window": 33})
     write_costs(folder / "metrics", run_of("studio", "paper"), 100.0, {1: 5.0, 5: 25.0})
     frames = [person(value) for value in (50, 100, 150)]
@@ -192,7 +192,7 @@ def test_the_page_shows_both_charts_and_what_snapshots_told(project):
     assert report.summary["scenes"]["studio"]["paper"]["speed"] == {
         "disk_mb": 1.5, "time_to_paper_s": 25.0, "pareto": True,
     }  # fmt: skip
-    (project / "metrics/timeline/studio-paper.json").unlink()
+    (project / "metrics/learning_curve/studio-paper.json").unlink()
     report = made(project)
     assert report.page.count("<svg") == 1
     report.save(project / "reports")
@@ -450,7 +450,7 @@ def test_a_scene_without_truth_says_how_well_its_blurred_frames_are_explained(pr
 
 @pytest.mark.parametrize("points", [None, 3, [1], [{"stage": "fusion"}]])
 def test_a_damaged_learning_curve_is_named_with_what_to_do(project, points):
-    path = project / "metrics/timeline/studio-paper.json"
+    path = project / "metrics/learning_curve/studio-paper.json"
     write_json(path, {"scene": "studio", "method": "paper", "points": points})
     with pytest.raises(ArtifactError, match=r"studio-paper\.json is damaged.*dvc repro"):
         made(project)
@@ -461,7 +461,7 @@ def test_files_of_other_runs_are_ignored(project):
     write_result(project / "metrics", "studio", "gone", 40.0)
     write_result(project / "metrics", "attic", "paper", 40.0)
     old = {"scene": "yard", "method": "paper", "disk_mb": 9.0, "points": []}
-    write_json(project / "metrics/timeline/attic-paper.json", old)
+    write_json(project / "metrics/learning_curve/attic-paper.json", old)
     shutil.copytree(project / "animate/studio-paper", project / "animate/studio-gone")
     runs = {
         f"{scene}-{method}": run_of(scene, method)

@@ -116,10 +116,10 @@ def test_every_path_of_a_command_is_declared(name):
             assert covered, f"--{option} {value}"
 
 
-def test_only_evaluation_and_the_timeline_depend_on_the_reference():
+def test_only_evaluation_and_the_learning_curve_depend_on_the_reference():
     readers = {n for n, s in STAGES.items() if any("reference" in d for d in paths_in(s, "deps"))}
     named = {n for n, s in STAGES.items() if "reference" in str(s["cmd"])}
-    assert readers == named == {"evaluate", "timeline"}
+    assert readers == named == {"evaluate", "learning_curve"}
 
 
 def test_fitting_depends_on_nothing_of_the_clip():

@@ -1,4 +1,4 @@
-"""Stage `timeline`: the learning curve of one run, from the avatars kept on the way."""
+"""Stage `learning_curve`: the learning curve of one run, from the avatars kept on the way."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def main(
 ) -> None:  # fmt: skip
     """Score all snapshots of one run."""
     seed = load_params(params_file, "seed", int)
-    with run.stage("timeline", f"{scene}-{method}", seed) as context:
+    with run.stage("learning_curve", f"{scene}-{method}", seed) as context:
         content = learning_curve(
             Observations.load(observations),
             Reference.load(reference),

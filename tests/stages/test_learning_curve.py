@@ -18,7 +18,7 @@ def test_the_stage_scores_a_few_pixels(painted, make_observations, tmp_path: Pat
             scene.avatar.save(folder / "avatar")
             scene.motion.save(folder / "motion")
     options["params_file"] = tmp_path / "params.yaml"
-    done = run_script("timeline", **options)
+    done = run_script("learning_curve", **options)
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "metrics.json").read_text())
     assert (content["scene"], content["method"]) == ("hall", "oracle")
