@@ -9,34 +9,37 @@ turns of a few steps, so that a busy machine slows them alike. The scene is a pe
 `--methods` names some of the methods; all of them take minutes.
 
 Kinds of work: `rasterizer`, `posing kernel`, `covariance factors kernel` and `isometry kernel` are
-native;
-`layers` is all inside a stack of network layers, where products, ReLUs and rounding alternate;
+native; `layers` is all inside a stack of network layers, where products, ReLUs and rounding alternate;
 `matrix products` is what of that, and of everything else but the kernels, are products in the
 narrow sense. `rasterizer_and_products` is the share of the rasterizer, of posing, of
 covariance_factors and of
 products in the narrow sense: posing and covariance factors are products of matrices, written as
 kernels; isometry is none.
 
-The profiler writes down thousands of calls a step, most of them short, and a step takes longer for
-it. Steps are therefore recorded and left alone in turns, and what the recorded ones take more is
-taken off every call in equal parts: shares are of the step as it runs without a profiler.
-`recorded` says the share without that, which is rather too low.
+Shares are of the step as it runs without a profiler (benchmarks/step_profile.py); `recorded` says
+the share with it, which is rather too low.
 """
 
 import argparse
 import json
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.profiler_util import FunctionEvent
-from torch.profiler import ProfilerActivity, profile, record_function
 
 from benchmarks.rasterizer import machine
+from benchmarks.step_profile import (
+    TURN,
+    WARM_UP,
+    Step,
+    mark,
+    record,
+    shares_of_parts,
+    shares_of_work,
+)
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
@@ -65,32 +68,7 @@ FRAMES = 8
 FPS = 60.0
 EXPOSURE = 4 / FPS  # seconds
 STEPS = 34
-WARM_UP = 10
-TURN = 6  # steps
-TURNS = 10  # of a record
-
-# The profiler's names of products of matrices, besides oneDNN's.
-PRODUCTS = ("mm", "addmm", "bmm", "baddbmm", "mv", "addmv", "addmv_", "convolution_backward")
-PART = "part: "
 TERMS = ("pictures", "skinning", "isometry", "evenness", "priors")
-
-Step = Callable[[int], Any]
-
-
-class Record(NamedTuple):
-    """What a profiler saw of some steps.
-
-    calls: each with the milliseconds of a step that it took itself, without those it called.
-    alone: milliseconds that a step took without the profiler, in the same minute.
-    """
-
-    calls: list[tuple[FunctionEvent, float]]
-    alone: float
-
-    def without_profiler(self) -> "Record":
-        """The same calls, each without its part of the time that recording took."""
-        cost = (sum(took for _, took in self.calls) - self.alone) / len(self.calls)
-        return Record([(call, took - cost) for call, took in self.calls], self.alone)
 
 
 def observations(size: int) -> Observations:
@@ -241,9 +219,9 @@ def profiled(fit: AvatarFit, step: Step) -> dict[str, Any]:
 
     Two records: marking parts costs time that belongs to no kind of work.
     """
-    work = _work(_record(step))
+    work = shares_of_work(record(step))
     named: list[tuple[Any, str, str]] = [
-        (fit.model, "dress", "networks"), (fit.model, "colors", "networks"),
+        (fit.model, "condition", "networks"), (fit.model, "colors", "networks"),
         (fit, "_transforms", "skinning"), (fit, "_rasterize", "rasterize"),
         *((fit.objective, name, "losses") for name in TERMS),
         (fit.descent, "step", "optimiser"), (fit, "_densify", "optimiser"),
@@ -251,140 +229,8 @@ def profiled(fit: AvatarFit, step: Step) -> dict[str, Any]:
     ]  # fmt: skip
     for owner, method, part in named:
         if owner is not None:
-            setattr(owner, method, _marked(getattr(owner, method), part))
-    return {"parts": _parts(_record(step)), **work}
-
-
-def _record(step: Step) -> Record:
-    """Turns of steps with a profiler and without, the first step of each as in `milliseconds`."""
-    for index in range(WARM_UP):
-        step(index)
-    events: list[FunctionEvent] = []
-    alone = 0.0
-    for _ in range(TURNS):
-        _touch_the_heap()
-        step(WARM_UP)
-        start = time.perf_counter()
-        for index in range(WARM_UP + 1, WARM_UP + TURN):
-            step(index)
-        alone += time.perf_counter() - start
-        _touch_the_heap()
-        step(WARM_UP)
-        with profile(activities=[ProfilerActivity.CPU]) as profiler:
-            for index in range(WARM_UP + 1, WARM_UP + TURN):
-                with record_function(PART + "other"):
-                    step(index)
-        events += profiler.events()
-    steps = TURNS * (TURN - 1)
-    return Record([(event, 1e-3 * event.self_cpu_time_total / steps) for event in events],
-                  1e3 * alone / steps)  # fmt: skip
-
-
-def _touch_the_heap() -> None:
-    """Take memory and free it, for what is recorded to be kept in.
-
-    Otherwise the record pushes the heap's end on while a step runs, and the step waits for
-    thousands of new pages (10 to 25 ms), as it never does without a profiler.
-    """
-    blocks = [torch.zeros(2**21) for _ in range(80)]  # 640 MB
-    del blocks
-
-
-def _marked(function: Callable[..., Any], part: str) -> Callable[..., Any]:
-    def marked(*arguments: Any, **named: Any) -> Any:
-        with record_function(PART + part):
-            return function(*arguments, **named)
-
-    return marked
-
-
-def _parts(record: Record) -> dict[str, float]:
-    """A backward step belongs to the part whose forward call has its sequence number."""
-    forward: dict[int, str] = {}
-    for event, _ in record.calls:
-        # Posing happens between the marked calls, in the step itself.
-        part = "skinning" if event.name == "_Posing" else _part(event)
-        backward = "evaluate_function" in event.name or "Backward" in event.name
-        if event.sequence_nr >= 0 and part and not backward:
-            forward.setdefault(event.sequence_nr, part)
-    spent: dict[str, float] = defaultdict(float)
-    for event, took in record.without_profiler().calls:
-        part = _part(event) or "other"
-        above: FunctionEvent | None = event
-        while above is not None:
-            if "evaluate_function" in above.name:
-                part = forward.get(above.sequence_nr, "other")
-                break
-            if above.name == "_Posing":
-                part = "skinning"
-                break
-            above = above.cpu_parent
-        spent[part] += took
-    return _shares(spent)
-
-
-def _work(record: Record) -> dict[str, Any]:
-    spent, products = _kinds(record.without_profiler())
-    total = sum(spent.values())
-    recorded, recorded_products = _kinds(record)
-    return {
-        "work": _shares(spent),
-        "matrix products": round(products / total, 4),
-        "rasterizer_and_products": _rasterizer_and_products(spent, products),
-        "recorded": {
-            "ms": round(sum(recorded.values()), 2),
-            "alone_ms": round(record.alone, 2),
-            "rasterizer_and_products": _rasterizer_and_products(recorded, recorded_products),
-        },
-    }
-
-
-def _kinds(record: Record) -> tuple[dict[str, float], float]:
-    """Milliseconds by kind of work, and those of products in the narrow sense."""
-    spent: dict[str, float] = defaultdict(float)
-    products = 0.0
-    for event, took in record.calls:
-        spent[_kind(event)] += took
-        if event.name.startswith("mkldnn::") or event.name.removeprefix("aten::") in PRODUCTS:
-            products += took
-    return spent, products
-
-
-def _rasterizer_and_products(spent: Mapping[str, float], products: float) -> float:
-    native = sum(
-        spent[kind] for kind in ("rasterizer", "posing kernel", "covariance factors kernel")
-    )
-    return round((native + products) / sum(spent.values()), 4)
-
-
-def _shares(spent: Mapping[str, float]) -> dict[str, float]:
-    total = sum(spent.values())
-    return {name: round(value / total, 4) for name, value in sorted(spent.items())}
-
-
-def _part(event: FunctionEvent | None) -> str | None:
-    while event is not None:
-        if event.name.startswith(PART):
-            return event.name.removeprefix(PART)
-        event = event.cpu_parent
-    return None
-
-
-def _kind(event: FunctionEvent | None) -> str:
-    kernels = {
-        "_Rasterize": "rasterizer",
-        "_Posing": "posing kernel",
-        "_CovarianceFactors": "covariance factors kernel",
-        "_Covariances": "covariance factors kernel",
-        "_Isometry": "isometry kernel",
-        "_Layers": "layers",
-    }
-    while event is not None:
-        for name, kind in kernels.items():
-            if event.name in (name, f"{name}Backward"):
-                return kind
-        event = event.cpu_parent
-    return "other"
+            setattr(owner, method, mark(getattr(owner, method), part))
+    return {"parts": shares_of_parts(record(step)), **work}
 
 
 def measure(methods: Iterable[str]) -> dict[str, Any]:
@@ -392,19 +238,19 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
     name = load_params(PARAMETERS, "schedule", str)
     schedule = load_params(PARAMETERS, f"schedules.{name}", ScheduleParams)
     seen = observations(schedule.image_height)
-    record: dict[str, Any] = {"schedule": name, "methods": {}}
+    measured: dict[str, Any] = {"schedule": name, "methods": {}}
     for method in methods:
         fit, step = begin(method, seen, schedule)
         (took,) = milliseconds([step])
         found = profiled(fit, step)
         apart = {part: round(share * took, 2) for part, share in found["parts"].items()}
-        record["methods"][method] = {"ms": round(took, 2), "parts_ms": apart, **found}
+        measured["methods"][method] = {"ms": round(took, 2), "parts_ms": apart, **found}
     fit, shared = begin("paper", seen, schedule)
     _, shared_full = begin("paper", seen, schedule, "float32")
     apart = naive(begin("paper", seen, schedule)[0])
     apart_full = naive(begin("paper", seen, schedule, "float32")[0])
     took, full, naively, fully = milliseconds([shared, shared_full, apart, apart_full])
-    record["naive"] = {
+    measured["naive"] = {
         **as_computed(fit.model.params.precision, torch.device("cpu")),
         "ms": round(took, 2),
         "float32_ms": round(full, 2),
@@ -413,17 +259,17 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
         "faster": round(naively / took, 2),
         "faster_than_float32": round(fully / took, 2),
     }
-    return record
+    return measured
 
 
 def main(json_file: Path | None, methods: Iterable[str]) -> None:
     """Measure, print, and write."""
     where = machine(4.1)
     with stage("benchmark", "training_step", 0):  # as stages do: memory kept, equal bits
-        record = {"machine": where, **measure(methods)}
-    print(json.dumps(record, indent=1))
+        found = {"machine": where, **measure(methods)}
+    print(json.dumps(found, indent=1))
     if json_file:
-        json_file.write_text(json.dumps(record, indent=1) + "\n")
+        json_file.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -70,6 +70,26 @@ def test_a_device_that_does_not_exist_is_a_mistake_of_the_caller(monkeypatch):
         pass
 
 
+def test_a_stage_computes_with_one_thread_unless_asked(monkeypatch):
+    with run.one_thread():  # restores the number of threads that other tests have
+        torch.set_num_threads(2)
+        with run.stage("warmup", "studio", 0):
+            assert torch.get_num_threads() == 1
+        monkeypatch.setenv("DEBLUR_AVATAR_THREADS", "2")
+        with run.stage("warmup", "studio", 0):
+            assert torch.get_num_threads() == 2
+
+
+@pytest.mark.parametrize("threads", ["0", "-1", "two", "1.5", "100000", ""])
+def test_a_number_of_threads_that_is_none_is_refused(threads, monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_THREADS", threads)
+    with (
+        pytest.raises(ConfigError, match="DEBLUR_AVATAR_THREADS: wanted 1 to 1024, got"),
+        run.stage("warmup", "studio", 0),
+    ):
+        pass
+
+
 def test_a_stage_says_when_it_starts_and_what_it_took(caplog, monkeypatch):
     monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cpu")
     with caplog.at_level(logging.INFO), run.stage("warmup", "studio", 0) as context:

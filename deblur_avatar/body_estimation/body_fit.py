@@ -35,6 +35,7 @@ from deblur_avatar.body_estimation.silhouettes import (
     nearest_points,
     silhouettes,
 )
+from deblur_avatar.body_estimation.surface_samples import SurfaceSamples, sample_evenly
 from deblur_avatar.body_estimation.triangulation import Triangulated, triangulate
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
@@ -96,20 +97,11 @@ class _Posed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Surface:
-    """Points spread evenly over the body at rest."""
-
-    points: Float[Tensor, "P 3"]
-    shape_dirs: Float[Tensor, "P 3 B"]
-    lbs_weights: Float[Tensor, "P J"]
-
-
-@dataclass(frozen=True)
 class _Problem:
     """What does not change while the body is fitted."""
 
     body: Body
-    surface: _Surface
+    surface: SurfaceSamples
     marks: LandmarkMap
     limits: PoseLimits
     Ks: Float[Tensor, "V 3 3"]
@@ -206,7 +198,7 @@ def _problem(
     orient, transl = first_guess(body, marks, found, basis)
     problem = _Problem(
         body=body,
-        surface=_spread_points(body),
+        surface=sample_evenly(body, SURFACE_POINTS),
         marks=marks,
         limits=pose_limits(),
         Ks=Ks,
@@ -247,20 +239,6 @@ def _check_agreement(
                 name,
                 100 * share,
             )
-
-
-def _spread_points(body: Body) -> _Surface:
-    """Cut the surface into pieces of equal area; take the middle of the triangle each begins in."""
-    corners = body.vertices[body.faces]
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    share = normals.double().norm(dim=-1).cumsum(0)
-    steps = (torch.arange(SURFACE_POINTS) + 0.5) / SURFACE_POINTS
-    faces = body.faces[torch.searchsorted(share / share[-1], steps.double())]
-    return _Surface(
-        points=body.vertices[faces].mean(1),
-        shape_dirs=body.shape_dirs[faces].mean(1),
-        lbs_weights=body.lbs_weights[faces].mean(1),
-    )
 
 
 def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:

@@ -179,4 +179,6 @@ def _complaint(item: Any) -> str:
         return f"unknown key {key!r}"
     if item["type"] == "missing":
         return f"missing key {key!r}"
+    if item["type"] == "union_tag_not_found":
+        return f"missing key {item['ctx']['discriminator']}, which names the kind"
     return f"{key}: {item['msg'][0].lower() + item['msg'][1:]}, got {item['input']!r:.200}"

@@ -133,26 +133,8 @@ def preprocess(
             frames = lift_person(frames, mattes, plate, cast(Light, clip.light))
         return crop_and_scale(frames, crop, size), crop_and_scale(mattes, crop, size)
 
-    train, validation = _split(clip, shown, params.validation_stride)
-    frames, cut_mattes = cut_out(clip.frames[row], mattes)
-    blurred = Observations(
-        frames=frames,
-        mattes=cut_mattes,
-        cameras=cameras,
-        crops=torch.tensor(crops, dtype=torch.float32),
-        train_camera=clip.train_camera,
-        body=body,
-        poses=track.poses,
-        weights=track.weights,
-        frame_indices=clip.frame_indices,
-        timestamps=clip.timestamps,
-        exposure=clip.exposure,
-        light=clip.light,
-        train=train,
-        validation=validation,
-        depth_known=params.depth == "known",
-        hidden=hidden_share(body, track.poses.at(list(train)), cameras, clip.train_camera),
-    )
+    cut = cut_out(clip.frames[row], mattes)
+    blurred = _observations(clip, body, params, track, shown, cut, crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
         frames, cut_mattes = cut_out(clip.sharp_frames, sharp_mattes)
@@ -171,6 +153,38 @@ class _Track:
     weights: Float[Tensor, " F"]
     fit: dict[str, Any]
     flags: dict[str, int]
+
+
+def _observations(
+    clip: BlurryClip,
+    body: Body,
+    params: PreprocessParams,
+    track: _Track,
+    shown: Bool[Tensor, " F"],
+    cut: tuple[UInt8[Tensor, "F H W 3"], UInt8[Tensor, "F H W"]],
+    crops: list[Crop],
+    cameras: Cameras,
+) -> Observations:
+    """The blurred frames and mattes that were cut out, with all that is known of them."""
+    train, validation = _split(clip, shown, params.validation_stride)
+    return Observations(
+        frames=cut[0],
+        mattes=cut[1],
+        cameras=cameras,
+        crops=torch.tensor(crops, dtype=torch.float32),
+        train_camera=clip.train_camera,
+        body=body,
+        poses=track.poses,
+        weights=track.weights,
+        frame_indices=clip.frame_indices,
+        timestamps=clip.timestamps,
+        exposure=clip.exposure,
+        light=clip.light,
+        train=train,
+        validation=validation,
+        depth_known=params.depth == "known",
+        hidden=hidden_share(body, track.poses.at(list(train)), cameras, clip.train_camera),
+    )
 
 
 def _track(

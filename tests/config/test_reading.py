@@ -9,6 +9,7 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.animate import AnimationParams
 from deblur_avatar.pipeline.blur import BlurParams
 from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.pipeline.fusion import FusionParams
 from deblur_avatar.pipeline.parameters import METRICS_OF_STAGES, check_parameters
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +42,14 @@ def test_a_section_becomes_a_typed_object(tmp_path):
 def test_a_mistake_is_named_with_its_key(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message.replace("(", r"\(")):
         load_params(written(tmp_path, text), "blur", BlurParams)
+
+
+def test_a_section_without_the_key_that_names_its_kind_is_refused(tmp_path):
+    path = written(tmp_path, "fusion: {supervisions: sharp, mask: mean}\n")
+    with pytest.raises(
+        ConfigError, match="fusion: missing key 'supervision', which names the kind"
+    ):
+        load_params(path, "fusion", FusionParams)
 
 
 def test_a_file_is_read_again_when_it_changes_and_what_came_of_it_is_ones_own(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.evaluation.truth_views import _spread, truth_views
+from deblur_avatar.evaluation.truth_views import _extend_outside, truth_views
 
 
 def test_training_frames_give_novel_views_and_held_out_frames_novel_poses(scene):
@@ -78,8 +78,8 @@ def test_beside_the_body_its_nearest_pixel_decides():
     seen[1, 4:6] = True
     wanted = torch.zeros(3, 8, dtype=torch.bool)
     wanted[:, 4:] = True
-    assert torch.equal(_spread(seen, body), wanted)
-    assert not _spread(seen & False, body & False).any()
+    assert torch.equal(_extend_outside(seen, body), wanted)
+    assert not _extend_outside(seen & False, body & False).any()
 
 
 def test_a_reference_without_a_training_frame_is_refused(scene):

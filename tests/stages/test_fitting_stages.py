@@ -106,7 +106,7 @@ def misspell(content: dict[str, Any], stage: str) -> str:
         section, where = content["starts"]["paper"]["optimiser"], "starts.paper"
     else:
         section, where = content["methods"]["paper"][stage], f"methods.paper.{stage}"
-    key = next(iter(section))
+    key = list(section)[1]  # the first names the kind
     section[f"{key}s"] = section.pop(key)
     return where
 
