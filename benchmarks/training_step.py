@@ -9,12 +9,11 @@ turns of a few steps, so that a busy machine slows them alike. The scene is a pe
 `--methods` names some of the methods; all of them take minutes.
 
 Kinds of work: `rasterizer`, `posing kernel`, `covariance factors kernel` and `isometry kernel` are
-native; `layers` is all inside a stack of network layers, where products, ReLUs and rounding alternate;
-`matrix products` is what of that, and of everything else but the kernels, are products in the
-narrow sense. `rasterizer_and_products` is the share of the rasterizer, of posing, of
-covariance_factors and of
-products in the narrow sense: posing and covariance factors are products of matrices, written as
-kernels; isometry is none.
+native. `layers` is all inside a stack of network layers, where products, ReLUs and rounding
+alternate. `matrix products` is what of that, and of everything else but the kernels, are products
+in the narrow sense. `rasterizer_and_products` is the share of the rasterizer, of posing, of
+covariance factors and of products in the narrow sense: posing and covariance factors are products
+of matrices, written as kernels; isometry is none.
 
 Shares are of the step as it runs without a profiler (benchmarks/step_profile.py); `recorded` says
 the share with it, which is rather too low.
@@ -49,8 +48,8 @@ from deblur_avatar.avatars.params import ModelParams, Precision
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.fusion import FusedParams, new_network
-from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import new_trajectory
 from deblur_avatar.rendering.rasterize import rasterize
 from deblur_avatar.run import stage

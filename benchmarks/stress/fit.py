@@ -11,8 +11,8 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.fusion import fuse
-from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.params import StartParams

@@ -11,8 +11,8 @@ from pathlib import Path
 from deblur_avatar.cli.report import show_report
 from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.config.reading import load_params, read_yaml
+from deblur_avatar.parameters import SceneParams, check_parameters
 from deblur_avatar.pipeline.body import BodyParams
-from deblur_avatar.pipeline.parameters import SceneParams, check_parameters
 
 logger = logging.getLogger(__name__)
 

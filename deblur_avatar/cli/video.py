@@ -22,8 +22,8 @@ from deblur_avatar.config.reading import (
     section_of,
 )
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.parameters import check_parameters
 from deblur_avatar.pipeline.code import PIPELINE
-from deblur_avatar.pipeline.parameters import check_parameters
 from deblur_avatar.sources.footage import read_footage
 
 logger = logging.getLogger(__name__)

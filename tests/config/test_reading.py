@@ -6,11 +6,11 @@ import pytest
 
 from deblur_avatar.config.reading import expand_environment, load_params, read_params, read_yaml
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.parameters import METRICS_OF_STAGES, check_parameters
 from deblur_avatar.pipeline.animate import AnimationParams
 from deblur_avatar.pipeline.blur import BlurParams
 from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.pipeline.fusion import FusionParams
-from deblur_avatar.pipeline.parameters import METRICS_OF_STAGES, check_parameters
 
 ROOT = Path(__file__).parents[2]
 GOOD = "blur: {frames: interpolated, factor: 8, window: 33, light: srgb}\n"

@@ -48,7 +48,7 @@ from deblur_avatar.evaluation.costs import (
     with_seconds,
 )
 from deblur_avatar.imaging.picture_files import read_mask, read_picture, write_light
-from deblur_avatar.pipeline.parameters import check_parameters
+from deblur_avatar.parameters import check_parameters
 from deblur_avatar.pipeline.report import read_results
 from deblur_avatar.reporting.picture_strips import strips_of_scene
 from deblur_avatar.sources.calibration import read_calibration

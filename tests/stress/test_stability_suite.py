@@ -26,7 +26,7 @@ from deblur_avatar.config.reading import (
     read_params,
 )
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.pipeline.parameters import MethodParams
+from deblur_avatar.parameters import MethodParams
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams
 from tests.structure.pipeline_files import ROOT

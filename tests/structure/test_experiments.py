@@ -9,9 +9,9 @@ import pytest
 from dvc.utils.hydra import apply_overrides
 
 from deblur_avatar.config.reading import load_params, read_params
+from deblur_avatar.parameters import PlacesParams, check_parameters
 from deblur_avatar.pipeline.ablations import SECTIONS
 from deblur_avatar.pipeline.clip import ClipParams
-from deblur_avatar.pipeline.parameters import PlacesParams, check_parameters
 from tests.structure.pipeline_files import (
     PARAMS,
     PIPELINE,

@@ -13,10 +13,10 @@ from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.registry import EXPORTERS, ExportParams
 from deblur_avatar.motion.kinds import KINDS
+from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.clip import ClipParams, load_clip
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.pipeline.fusion import fuse
-from deblur_avatar.pipeline.parameters import MethodParams
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.sources.registry import SOURCES

@@ -33,6 +33,7 @@ WORDS = {
     "lend": "fill_untrained_latents",
     "so-manieth": "n-th",
 }
+REMEMBERS = "SEED_NAMES"  # the one table that may: what seeds are derived from
 PATH_WORDS = {"utils", "util", "helpers", "helper", "common", "misc", "base", "manager"}
 
 
@@ -65,7 +66,9 @@ def test_private_words_are_gone_from_code_and_parameters() -> None:
             *sorted((ROOT / "experiments").rglob("params.yaml")),
             ROOT / "params.yaml",
         ]
-        for match in words.finditer(path.read_text())
+        for line in path.read_text().splitlines()
+        if not line.startswith(f"{REMEMBERS} =")
+        for match in words.finditer(line)
     ]
     assert not places
 

@@ -7,7 +7,7 @@ from benchmarks.stress.params import StabilitySceneParams
 from benchmarks.stress.scene import film_scene, measure_ceiling
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.pipeline.parameters import MethodParams
+from deblur_avatar.parameters import MethodParams
 from deblur_avatar.training.params import StartParams
 from deblur_avatar.training.schedule import ScheduleParams
 
