@@ -1,1 +1,1 @@
-"""How fast and how accurate: each module prints a table and writes JSON."""
+"""Benchmarks: speed and accuracy; each module prints a table and writes JSON."""

@@ -1,4 +1,4 @@
-"""How long one training step spends in each rasterizer, forward and backward.
+"""Rasterizer benchmark: one training step in each backend, forward and backward.
 
     python -m benchmarks.rasterizer --json FILE
 

@@ -1,4 +1,4 @@
-"""Where a training step's time goes, and what sharing work between instants saves.
+"""Training step benchmark: its time by part, and what sharing work between instants saves.
 
     python -m benchmarks.training_step [--json FILE]
 

@@ -1,4 +1,4 @@
-"""The ways in which a run of the pipeline can end early; each is one line and exit code 1."""
+"""Exceptions: the ways in which a run can end early; each is one line and exit code 1."""
 
 
 class ConfigError(ValueError):

@@ -1,4 +1,4 @@
-"""An avatar from its folder, animated without the footage: what the library offers beside stages.
+"""The library: an avatar loaded from its folder, posed and animated without the footage.
 
 `deblur_avatar/__init__.py` lists all names that are meant for callers; docs/library.md shows them.
 """

@@ -1,4 +1,4 @@
-"""The whole of `params.yaml`, section by section, checked before any work."""
+"""Parameter check: the whole of `params.yaml`, section by section, before any work."""
 
 from collections.abc import Mapping
 from pathlib import Path

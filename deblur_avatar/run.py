@@ -1,4 +1,4 @@
-"""A stage's bookends: arguments, seed, device, log, progress, measurements."""
+"""Stage context: arguments, seed, device, threads, log, progress, measurements."""
 
 import argparse
 import contextlib

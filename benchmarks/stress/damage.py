@@ -1,4 +1,4 @@
-"""What goes wrong with a blurred clip before `preprocess` sees it, each by name and amount.
+"""Input damage: what goes wrong with a blurred clip before `preprocess`, by name and amount.
 
 Conventions. A damage takes the clip, its amount (what that counts is said below) and a generator,
 and gives the clip damaged. The truth that evaluation compares with stays as it was.

@@ -1,4 +1,4 @@
-"""From a clip of the suite to what fitting sees: blurred, damaged as asked for, preprocessed."""
+"""Input of a fit in the suite: blurred, damaged as asked for, preprocessed."""
 
 from collections.abc import Mapping
 

@@ -1,4 +1,4 @@
-"""What the person of the stability suite does: motions chosen for what they break.
+"""Motions of the stress suite, chosen for what they break.
 
 Conventions. The studio's (`sources/studio/motion.py`): SMPL's pose, seconds from the start of the
 clip, the training part first. M instants. All but `extremes` go on in the held-out part as before.

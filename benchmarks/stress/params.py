@@ -1,4 +1,4 @@
-"""What `stability/params.yaml` says, typed and strict.
+"""Parameters of the stress suite: `stability/params.yaml`, typed and strict.
 
 Defaults live there; the sections that it lacks are the root's.
 """

@@ -1,4 +1,4 @@
-"""When a method passes a way to fail: one rule a mode, made of checks with numbers and limits.
+"""Pass rules: when a method passes a failure mode; checks with numbers and limits.
 
 A rule sees one severity at a time, beside what `agnostic` made of it (the lower bound), what the
 ceiling reaches on the scene (the upper bound) and what the method makes of the clean scene.

@@ -1,4 +1,4 @@
-"""One small scene of the stability suite: a person of capsules, filmed with all truth known.
+"""Stress scenes: a person of capsules, filmed with all truth known.
 
 The clothes may swing in a way that no joint explains. Beside the clip stands what the `ceiling`
 reaches on it: sharp frames and exact poses.

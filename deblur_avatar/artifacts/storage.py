@@ -1,4 +1,4 @@
-"""How one frozen dataclass becomes one directory of plain files, and back.
+"""Artifact storage: one frozen dataclass is one directory of plain files, and back.
 
 A directory holds `manifest.json` (schema and small values), `tensors.safetensors` (arrays) and one
 folder of 8-bit PNG files for each image stack. Nothing in it depends on the time, the machine or

@@ -1,4 +1,4 @@
-"""Where bodies come from: what every kind does, and the kinds by name (`bodies.<name>.source`)."""
+"""Registry of bodies: what every kind does, and the kinds by name (`bodies.<name>.source`)."""
 
 from typing import Annotated, Protocol, runtime_checkable
 

@@ -1,4 +1,4 @@
-"""A licensed SMPL file as a `Body`.
+"""SMPL: a licensed model file (`.pkl` or `.npz`) as a `Body`.
 
 The model files of SMPL (smpl.is.tue.mpg.de, free for research after registration) are read where
 the user has put them and are never shipped: the original pickles of Python 2, whose classes stay

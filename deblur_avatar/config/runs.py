@@ -1,4 +1,4 @@
-"""What is trained: warm-ups, and the runs that go on from them."""
+"""Runs and warm-ups: what is trained, by names of scene, observations, start and method."""
 
 from typing import Literal
 

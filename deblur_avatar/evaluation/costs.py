@@ -1,4 +1,4 @@
-"""What a run cost, gathered from what its stages measured with a clock.
+"""Training cost: seconds, memory and size of a run, gathered from what its stages measured.
 
 Conventions. These measurements lie in files of their own, `<folder>/<stage>/<item>.json`, which no
 stage but a report depends on: two runs of the same code take different times and are the same run.

@@ -1,4 +1,4 @@
-"""What a scene shows before training: blur, coverage, overlap of mask and body."""
+"""Scene statistics before training: blur, coverage, overlap of mask and body."""
 
 from collections.abc import Mapping
 from typing import Any

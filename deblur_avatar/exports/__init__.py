@@ -1,1 +1,1 @@
-"""Files that other programs open, made from a fitted run."""
+"""Exporters: files that other programs open, made from a fitted run."""

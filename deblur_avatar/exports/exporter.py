@@ -1,4 +1,4 @@
-"""The seam between a fitted run and other programs' files: what every exporter does.
+"""Exporter protocol: what every kind of file does that a fitted run is written as.
 
 An exporter is its options with one method. A new one is a module with such a class and a line in
 `exports/registry.py` (docs/extending.md).

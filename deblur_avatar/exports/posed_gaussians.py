@@ -1,4 +1,4 @@
-"""An avatar's Gaussians in one pose, as any 3D Gaussian splatting program knows them."""
+"""Posed Gaussians: an avatar in one pose, as any 3D Gaussian splatting program knows it."""
 
 from dataclasses import dataclass
 

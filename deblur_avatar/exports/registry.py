@@ -1,4 +1,4 @@
-"""The export formats by name."""
+"""Registry of exporters: the formats by name."""
 
 from typing import Annotated
 

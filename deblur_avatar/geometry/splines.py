@@ -1,4 +1,4 @@
-"""Smooth curves through time: uniform cubic B-splines of vectors and of rotations.
+"""B-splines: smooth curves of vectors and of rotations through time, uniform and cubic.
 
 Conventions. K knots stand at times 0, 1, ..., K - 1 in units of their spacing. A curve is defined
 from the first knot to the last; its ends are extended by repeating the outermost knots. Four knots

@@ -1,1 +1,1 @@
-"""How light becomes pixels."""
+"""Image formation: light, exposure, interpolation, resampling, matting, files."""

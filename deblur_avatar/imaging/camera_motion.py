@@ -1,4 +1,4 @@
-"""Whether a camera stood still: how far its background moves across the picture."""
+"""Camera motion: how far the background moves across the picture, which says if it stood still."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""sRGB and the light it stands for.
+"""Colour spaces: sRGB and the linear light it stands for.
 
 Conventions. `srgb` values are what image files hold, scaled to [0, 1]; `linear` values are
 proportional to light, with the same black and white. Both functions take any shape, go beyond

@@ -1,4 +1,4 @@
-"""How a picture is sharpened whose blur is a straight streak, a different one at every place.
+"""Deconvolution by line-shaped point spread functions, a different one at every place.
 
 Conventions. Layers are planes [D, H, W] that were blurred together: colours in the light that was
 averaged, and the matte. A streak is a line of even weight: length in pixels, angle in radians from

@@ -1,4 +1,4 @@
-"""How a moving body becomes a blurred frame.
+"""Motion blur: a blurred frame is the mean of the sharp instants of its exposure.
 
 Conventions. `factor` sub-frames lie between one frame and the next, at equal distances; frame j is
 sub-frame `factor * j`. A blurred frame is the mean of `window` sub-frames (odd) centred on a frame,

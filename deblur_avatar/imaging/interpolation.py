@@ -1,4 +1,4 @@
-"""What a camera would have seen between two frames.
+"""Frame interpolation: what a camera would have seen between two frames.
 
 Conventions. `u` in (0, 1) is time from frame `a` to frame `b`, an exact fraction. Images are uint8
 with sRGB in their first three channels; further ones (a matte) are carried along. Flows are in

@@ -1,4 +1,4 @@
-"""LPIPS with VGG16: how far apart two pictures are in the features of a trained network.
+"""LPIPS with VGG16: the distance of two pictures in the features of a trained network.
 
 The trunk is VGG16 up to its last rectified convolution, with ImageNet weights; the heads weigh its
 channels. Neither file is shipped: `DEBLUR_AVATAR_LPIPS_WEIGHTS` names torchvision's VGG16

@@ -1,4 +1,4 @@
-"""How a person is lifted off a background that stands still, onto black.
+"""Matting: a person is lifted off a background that stands still, onto black.
 
 Conventions. A picture is the person's light plus (1 - alpha) times the background's light, where
 alpha is the matte (coverage). `light` says in which space light adds up: `linear`, or sRGB values

@@ -1,4 +1,4 @@
-"""Single pictures as files.
+"""Picture files: single pictures and stacks of them, read and written.
 
 Conventions. Pictures are [H,W,3], 8-bit sRGB, rows from top to bottom. Files that are written hold
 nothing but the picture, so equal pictures are equal bytes. Whatever is read becomes that too,

@@ -1,4 +1,4 @@
-"""How pictures are straightened, cut out and made smaller.
+"""Image resampling: lens distortion taken out, crops, scaling.
 
 Conventions. A crop is (x, y, width, height) in whole pixels of the picture it is taken from. Pixel
 centres lie at half-integers (`geometry.cameras`), so that cutting and scaling act on intrinsics as

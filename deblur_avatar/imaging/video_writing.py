@@ -1,4 +1,4 @@
-"""How pictures become a video that plays everywhere: H.264 in an mp4 file.
+"""Video encoding: H.264 in an mp4 file that plays everywhere.
 
 One encoder thread, no clock and no B pictures (with some of them as references x264 writes other
 bytes now and then), so equal pictures give equal bytes with one version of the encoder.

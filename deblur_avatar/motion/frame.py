@@ -1,4 +1,4 @@
-"""One pose a frame: the body stands still during the exposure, as without a model of blur."""
+"""Static trajectory: one pose a frame, as without a model of blur."""
 
 from typing import ClassVar, Literal
 

@@ -1,4 +1,4 @@
-"""Travel in the picture, which says how many virtual poses an exposure needs.
+"""Number of virtual poses of an exposure, from how far the body travels in the picture.
 
 Conventions. Travel is the length of a joint's path in the training camera's picture while the
 shutter is open, in pixels.

@@ -1,4 +1,4 @@
-"""From sharp frames to blurred ones: the frame rate is raised, then windows of it are averaged.
+"""Blur synthesis: the frame rate is raised, then windows of frames are averaged.
 
 What the paper does to ZJU-MoCap, with classical optical flow in place of a learned interpolator.
 Frames whose window leaves the clip are dropped. A clip that is blurred already passes through.

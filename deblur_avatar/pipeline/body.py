@@ -1,4 +1,4 @@
-"""Which body a person has: the stage `body`."""
+"""Body baking: which body a person has."""
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.bodies.registry import BodyParams, BodySource

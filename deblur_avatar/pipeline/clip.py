@@ -1,4 +1,4 @@
-"""Every source in one form: the stage `clip`."""
+"""Footage: every source in one form."""
 
 import torch
 

@@ -1,4 +1,4 @@
-"""The last stage of fitting: sharp and averaged renders are blended where the body moved."""
+"""Fusion, the last stage of fitting: sharp and averaged renders blended by where the body moved."""
 
 from typing import Annotated, Any, Literal
 

@@ -1,4 +1,4 @@
-"""The baseline that deblurs in the picture: frames are sharpened first, then taken for sharp.
+"""Two-stage baseline: frames are deblurred in the picture first, then taken for sharp.
 
 Frames come from a folder where the user has put another program's results (a video deblurring
 network's, say DSTNet's), else from a classical method (`imaging/deconvolution.py`). Poses, cameras

@@ -1,4 +1,4 @@
-"""How good made blur is: interpolated frames against frames left out, averages against true blur.
+"""Evaluation of made blur: interpolated frames against frames left out, averages against true blur.
 
 Apart from `blur`, so that no change to a metric makes a clip anew.
 """

@@ -1,4 +1,4 @@
-"""What deblurring in the picture gained: frames before and after it against the sharp ones.
+"""Evaluation of deblurring in the picture: frames before and after it against the sharp ones.
 
 Apart from `predeblur`, which may not see sharp frames.
 """

@@ -1,4 +1,4 @@
-"""The second stage of fitting: motion inside each exposure joins the unknowns."""
+"""Trajectory, the second stage of fitting: motion inside each exposure joins the unknowns."""
 
 from collections.abc import Mapping
 from typing import Any, Literal

@@ -1,4 +1,4 @@
-"""The first stage of fitting: an avatar without a model of blur."""
+"""Warm-up, the first stage of fitting: an avatar without a model of blur."""
 
 import time
 from typing import Any

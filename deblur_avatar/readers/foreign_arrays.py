@@ -1,4 +1,4 @@
-"""Arrays from other people's pickles, `.npy` and `.npz` files.
+"""Array files of other programs: pickles, `.npy` and `.npz`, read with restrictions.
 
 One guard for all three: `unpickling` reads the file in a process of its own, with bounded memory
 and time, which runs nothing that the file asks for and hands back plain arrays. Whatever happens to

@@ -1,4 +1,4 @@
-"""Picture files to pixels and back, by OpenImageIO; the one module that knows it.
+"""Picture codecs: files to pixels and back by OpenImageIO; the one module that knows it.
 
 Conventions. Pixels are [H,W,C] as the file stores them, turned as the file says they should be
 seen. Encoded files hold nothing but the picture: what OpenImageIO adds to it (an empty EXIF block,

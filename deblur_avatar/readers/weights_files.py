@@ -1,4 +1,4 @@
-"""Tensors from other people's `.pth` files, which are known by their SHA-256.
+"""Network weights (`.pth`) of other people, which are known by their SHA-256.
 
 A pickle can run anything, and torch's own restricted reader can still be made to end the process.
 So nothing of a file is looked at before it is known to be the one that was published.

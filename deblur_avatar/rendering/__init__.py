@@ -1,1 +1,1 @@
-"""From Gaussians and meshes to pixels."""
+"""Rendering: Gaussians by rasterization, meshes by ray casting."""

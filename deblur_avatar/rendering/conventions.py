@@ -1,4 +1,4 @@
-"""The numbers on which all rasterizers agree.
+"""Rasterization constants, on which all backends agree.
 
 They are gsplat 1.5.3's, because its CUDA kernels have most of them compiled in.
 

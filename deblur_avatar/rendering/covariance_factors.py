@@ -1,4 +1,4 @@
-"""How Gaussians reach into space: rotations times scales, and the covariances these make.
+"""Covariance factors M = R S of Gaussians, and the covariances M M^T.
 
 Conventions. A *spread* is a Gaussian's rotation times its scales, metres; its covariance is spread
 spread^T, its upper triangle xx, xy, xz, yy, yz, zz. Quaternions need not be of unit length. A

@@ -1,4 +1,4 @@
-"""Covariance matrices of Gaussians, whole or as the six numbers that determine them.
+"""Covariance matrices of Gaussians, whole or as their upper triangles.
 
 The six are the upper triangle in reading order: xx, xy, xz, yy, yz, zz.
 """

@@ -1,4 +1,4 @@
-"""The rasterizer as a native kernel for processors, float32.
+"""CPU rasterizer: a native kernel, float32.
 
 `kernel.cpp` says how it works. Here are its memory, which torch owns, and its place in autograd.
 """

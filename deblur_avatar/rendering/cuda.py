@@ -1,4 +1,4 @@
-"""The rasterizer on a GPU, by way of gsplat: the one module that knows it.
+"""GPU rasterizer, by way of gsplat: the one module that knows it.
 
 gsplat 1.5.3 has the leading batch dimension that one call for B poses needs. Its conventions are
 those of `conventions.py`; the differences met here are of form. It reads only the upper triangle of

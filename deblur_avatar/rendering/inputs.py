@@ -1,4 +1,4 @@
-"""What a rasterizer accepts, checked once for all backends.
+"""Rasterizer arguments, checked once for all backends.
 
 The annotations here are loose on purpose: this is where a wrong shape gets its explanation.
 """

@@ -1,4 +1,4 @@
-"""Pictures of a textured triangle mesh by casting rays: what splatting is measured against.
+"""Ray casting of a textured triangle mesh: the ground truth that splatting is measured against.
 
 Conventions. Cameras as in `geometry.cameras`. A pixel holds samples_per_axis^2 rays on a regular
 grid. Colours are linear light, premultiplied by coverage, over nothing. A triangle's surface is cut

@@ -1,4 +1,4 @@
-"""Native code built where it runs: compiled on first use, kept for the next.
+"""Native kernels: compiled where they run on first use, kept for the next.
 
 The library is filed under everything that could change it (source, flags, compiler, processor), so
 it never needs to be invalidated, and written to a temporary folder first, so that two processes may

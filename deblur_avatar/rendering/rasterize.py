@@ -1,4 +1,4 @@
-"""From Gaussians to pixels: one call, three backends, the same result.
+"""Rasterization of Gaussians: one call, three backends, the same result.
 
 - `reference`: plain torch, any device, float32 or float64; slow, the definition of the others.
 - `cpu`: a native kernel, compiled on first use, float32; the default for tensors on the CPU.

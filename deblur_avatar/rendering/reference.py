@@ -1,4 +1,4 @@
-"""The rasterizer in plain torch: the definition that the fast ones are held to.
+"""Reference rasterizer in plain torch: the definition that the fast ones are held to.
 
 Every line differentiates itself, in float32 or float64, on any device. Two shortcuts keep it
 usable where no compiler is at hand, and neither changes a value: pixels are composited in square

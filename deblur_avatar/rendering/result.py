@@ -1,4 +1,4 @@
-"""What a rasterization returns, whichever backend made it."""
+"""Result of a rasterization, whichever backend made it."""
 
 from dataclasses import dataclass
 

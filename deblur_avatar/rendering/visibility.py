@@ -1,4 +1,4 @@
-"""Which parts of a moving surface a camera has seen, and how much sky they see themselves.
+"""Visibility and ambient occlusion: which parts of a moving surface a camera has seen.
 
 Conventions. Those of `imaging.mesh_rendering`: T triangles of R x R cells each, P vertices, metres.
 """

@@ -1,4 +1,4 @@
-"""Which tables the page shows of one scene, and the facts above them.
+"""Tables of the report: which are shown of one scene, and the facts above them.
 
 Conventions. Results are contents of metrics files by method; `blur` and `preprocess` are those of
 the stages of these names. A table whose numbers nobody measured is left out.

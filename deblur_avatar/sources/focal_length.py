@@ -1,4 +1,4 @@
-"""The focal length of a camera, as its files tell it.
+"""Focal length from metadata or a field of view.
 
 Conventions. A focal length in pixels belongs to one size of picture, the size as recorded. The
 35 mm equivalent is about a picture's diagonal, 43.27 mm on film (CIPA DCG-001).

@@ -1,4 +1,4 @@
-"""One camera's pictures and when each was taken: a video file, or a folder of pictures.
+"""Footage of one camera: pictures and timestamps, from a video file or a folder.
 
 Conventions. Frames are numbered from 0 as the file holds them (a folder: in the natural order of
 its names). What is kept are new frames only: one that repeats its predecessor to the last bit was

@@ -1,4 +1,4 @@
-"""Masks that a user made with another program: a folder of pictures, one for each frame.
+"""Given masks: a folder of pictures from another program, one for each frame.
 
 A pixel that is not black is person, whatever its value: label pictures count as well as 0 and 255.
 Grey pictures with many values up to white are soft masks and keep them as coverage. A palette's

@@ -1,4 +1,4 @@
-"""Poses that a user estimated with another program, brought into the camera's own axes.
+"""Given poses: estimated by another program, brought into the camera's own axes.
 
 A `.npz` with, for each of F frames of the footage, `global_orient` [F,3], `body_pose` [F,23,3] or
 [F,69] (or both in one, `poses` [F,72]), `transl` [F,3], and one `betas` [B]: SMPL's meaning,

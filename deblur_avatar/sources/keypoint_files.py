@@ -1,4 +1,4 @@
-"""Landmarks that a user found with another program, as the detector here would give them.
+"""Given keypoints: OpenPose or COCO files, as the detector here would give them.
 
 Understood are OpenPose's JSON (one file a frame in a folder, or one file holding a list of such
 frames; BODY_25 or COCO-18) and COCO's (a list of detections, or one under `annotations`; 17

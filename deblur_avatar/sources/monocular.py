@@ -1,4 +1,4 @@
-"""A person in one's own video: one camera, blurred as it is, no truth.
+"""Monocular source: a person in one's own video, blurred as it is, no ground truth.
 
 The one recorded camera stands at the origin of the world, axes as OpenCV's, and never moves: where
 it did move, the person moves before it (`given_poses` says why that loses nothing).

@@ -1,4 +1,4 @@
-"""A real person filmed by several calibrated video cameras.
+"""Multi-view source: a real person filmed by several calibrated video cameras.
 
 Frame f of the clip is frame `frames[0] + f + frame_offsets[c]` of camera c's file. Pictures keep
 their pixels: all are scaled down by one factor, then padded on the right and below to a common

@@ -1,4 +1,4 @@
-"""The kinds of sources by the name that a scene's `clip.source` gives them."""
+"""Registry of sources: the kinds by the name that `clip.source` gives them."""
 
 from typing import Annotated
 

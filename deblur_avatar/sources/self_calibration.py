@@ -1,4 +1,4 @@
-"""The focal length of a camera that moves, from the background it moves past.
+"""Self-calibration: the focal length of a moving camera, from the background it moves past.
 
 Structure from motion with pycolmap. The person is masked out. A camera that stands still tells
 nothing, and then there is no answer rather than a guess.

@@ -1,4 +1,4 @@
-"""The seam between footage and the pipeline: what every kind of source does.
+"""Source protocol: what every kind of footage does.
 
 A source is its parameters, the section `clip` of a scene, with two methods. A new kind is a module
 with such a class and a line in `sources/registry.py` (docs/extending.md).

@@ -1,1 +1,1 @@
-"""A synthetic clothed person, filmed from all sides, with exact truth."""
+"""Studio: a synthetic clothed person, filmed from all sides, with exact ground truth."""

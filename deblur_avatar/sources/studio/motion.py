@@ -1,4 +1,4 @@
-"""The studio's motions, as smooth functions of time.
+"""Studio motions: smooth functions of time.
 
 Conventions. SMPL's pose: axis-angle, radians, metres, each joint relative to its parent; +Y up, at
 rest facing +Z, the left hand towards +X. The floor is at y = 0 for an adult of ordinary height.

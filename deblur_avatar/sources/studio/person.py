@@ -1,4 +1,4 @@
-"""The clothed person as a mesh that takes any pose."""
+"""Clothed person: a mesh that takes any pose."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

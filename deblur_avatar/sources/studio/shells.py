@@ -1,4 +1,4 @@
-"""Cutting, refining and smoothing triangle meshes: how a garment is made from a body's surface.
+"""Mesh editing: cutting, refining and smoothing, by which garments are made from a body's surface.
 
 Conventions. Metres. A mesh is made from another by mixing its vertices: new vertex k is
 (1 - share[k]) old[first[k]] + share[k] old[second[k]], which serves positions, normals and skinning

@@ -1,4 +1,4 @@
-"""The studio: one clothed person, one camera to train and several to test, all truth known.
+"""Studio source: one clothed person, one camera to train and several to test, all truth known.
 
 Conventions. World: +Y up, the floor at y = 0, metres; the person starts facing camera 0, which
 stands on +Z. There are `SUBFRAMES` sub-frames a frame; frame f is sub-frame SUBFRAMES * f. The

@@ -1,4 +1,4 @@
-"""The colours of skin, hair and clothes as functions of a place on the resting body.
+"""Procedural texture: colours of skin, hair and clothes by the place on the resting body.
 
 Conventions. Patterns are written in sRGB and handed over as linear light. Metres; the person faces
 +Z. N places.

@@ -1,4 +1,4 @@
-"""What `annots.npy` says: how the cameras stand and see, and which pictures they took.
+"""ZJU-MoCap annotations (`annots.npy`): calibration, and which pictures the cameras took.
 
 The file is a pickled dictionary. `cams` holds lists K, R, T, D, one entry a camera: OpenCV's
 intrinsics (top left pixel's centre at 0), world to camera, T in *millimetres*, distortion

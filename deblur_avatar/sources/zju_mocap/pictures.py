@@ -1,4 +1,4 @@
-"""One camera's pictures with their masks: as filmed, or the person alone on black.
+"""ZJU-MoCap pictures and masks: as filmed, or the person alone on black.
 
 A mask has the path of its picture, as `.png`, below `mask` or `mask_cihp`. What is not 0 is the
 person, whatever the label; several masks of one picture are joined.

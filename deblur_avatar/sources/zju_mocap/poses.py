@@ -1,4 +1,4 @@
-"""SMPL poses as EasyMocap writes them, in our convention.
+"""ZJU-MoCap poses: SMPL as EasyMocap writes it, in our convention.
 
 A file `new_params/<frame number>.npy` is a pickled dictionary: `poses` [1,72] (or [1,69], without
 the root), `Rh` [1,3], `Th` [1,3], `shapes` [1,B]. The body X(poses, shapes) is turned about the

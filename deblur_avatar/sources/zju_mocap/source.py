@@ -1,4 +1,4 @@
-"""A sequence in ZJU-MoCap's raw layout becomes a sharp clip and its test views.
+"""ZJU-MoCap source: a sequence becomes a sharp clip and its test views.
 
 Frame f of the clip is entry `frames[0] + f * stride` of `annots.npy`. The clip keeps the lens'
 distortion and the true intrinsics, which `preprocess` takes out; test views are straight and show
