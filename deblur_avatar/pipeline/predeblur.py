@@ -36,10 +36,10 @@ class PredeblurParams(Params):
     """
 
     given: str
-    lengths: Annotated[tuple[Positive, ...], Field(min_length=1)]  # of streaks tried, pixels
+    lengths: Annotated[tuple[Positive, ...], Field(min_length=1)]  # of the line PSFs tried, pixels
     angles: Count  # directions tried
-    balance: Positive  # smoothness against closeness
-    surroundings: Positive  # pixels, of the window in which the matte is judged
+    regularisation: Positive  # weight of smoothness against closeness
+    window_sigma: Positive  # pixels, of the Gaussian window in which the matte is judged
     gain: Fraction  # by which the matte must become clearer
 
 
@@ -82,14 +82,14 @@ def predeblur(
 def _sharpened(
     frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], light: str, params: PredeblurParams
 ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W"], float]:
-    """One frame's box, and how long its streaks are where the person is, pixels."""
+    """One frame's box, and how long its PSFs are where the person is, pixels."""
     colors = _unit(frame)
     colors = srgb_to_linear(colors) if light == "linear" else colors
     coverage = _unit(matte)
     layers, lengths = deblur_by_matte(
         torch.cat([colors.permute(2, 0, 1), coverage[None]]),
         params.lengths, params.angles,
-        balance=params.balance, surroundings=params.surroundings, gain=params.gain,
+        regularisation=params.regularisation, window_sigma=params.window_sigma, gain=params.gain,
     )  # fmt: skip
     colors = layers[:3].permute(1, 2, 0)
     colors = linear_to_srgb(colors) if light == "linear" else colors

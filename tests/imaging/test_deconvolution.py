@@ -5,15 +5,15 @@ import torch
 from skimage import restoration
 
 from deblur_avatar.imaging.deconvolution import (
+    constrained_least_squares,
     deblur_by_matte,
-    streak,
-    unblurred,
-    unclearness,
+    line_psf,
+    matte_ambiguity,
 )
 
 pytestmark = pytest.mark.portable
 
-SETTINGS = {"balance": 0.002, "surroundings": 4.0, "gain": 0.05}
+SETTINGS = {"regularisation": 0.002, "window_sigma": 4.0, "gain": 0.05}
 
 
 def layers(size: int = 64) -> torch.Tensor:
@@ -25,7 +25,7 @@ def layers(size: int = 64) -> torch.Tensor:
 
 
 def blurred(pictures: torch.Tensor, length: float, angle: float) -> torch.Tensor:
-    kernel = torch.fft.rfft2(streak(length, angle, *pictures.shape[1:]))
+    kernel = torch.fft.rfft2(line_psf(length, angle, *pictures.shape[1:]))
     return torch.fft.irfft2(torch.fft.rfft2(pictures) * kernel, s=pictures.shape[1:]).clamp(0, 1)
 
 
@@ -34,7 +34,7 @@ def error(a: torch.Tensor, b: torch.Tensor) -> float:
 
 
 def test_a_streak_is_as_long_as_it_says_and_centred():
-    kernel = torch.fft.fftshift(streak(9.0, math.pi / 2, 32, 32)).double()
+    kernel = torch.fft.fftshift(line_psf(9.0, math.pi / 2, 32, 32)).double()
     rows = torch.arange(32) - 16.0
     assert kernel.sum() == pytest.approx(1.0)
     assert (kernel.sum(1) * rows).sum() == pytest.approx(0.0, abs=1e-6)
@@ -46,8 +46,8 @@ def test_a_streak_is_as_long_as_it_says_and_centred():
 def test_the_filter_is_scikit_images():
     generator = torch.Generator().manual_seed(0)
     picture = torch.rand(1, 32, 32, generator=generator, dtype=torch.float64)
-    kernel = streak(5.0, 0.4, 32, 32).double()
-    ours = unblurred(torch.fft.rfft2(picture), kernel, 0.3)[0]
+    kernel = line_psf(5.0, 0.4, 32, 32).double()
+    ours = constrained_least_squares(torch.fft.rfft2(picture), kernel, 0.3)[0]
     middle = torch.fft.fftshift(kernel).numpy()
     theirs = restoration.wiener(picture[0].numpy(), middle, 0.3, clip=False)
     shifted = torch.roll(torch.from_numpy(theirs), (16, 16), (0, 1))
@@ -60,9 +60,9 @@ def test_the_filter_is_scikit_images():
 
 def test_only_coverage_that_is_all_or_nothing_is_clear():
     matte = layers()[-1]
-    assert unclearness(matte, 3.0).abs().max() == 0
-    assert unclearness(matte * 0.5, 3.0)[32, 32] > 0.2
-    assert unclearness(matte * 1.5, 3.0)[32, 32] > 0.2  # ringing beyond 1
+    assert matte_ambiguity(matte, 3.0).abs().max() == 0
+    assert matte_ambiguity(matte * 0.5, 3.0)[32, 32] > 0.2
+    assert matte_ambiguity(matte * 1.5, 3.0)[32, 32] > 0.2  # ringing beyond 1
 
 
 @pytest.mark.parametrize("angle", [0.0, math.pi / 4, math.pi / 2])
@@ -79,7 +79,7 @@ def test_a_streak_is_undone_better_than_left_alone(angle: float):
 def test_each_place_finds_its_own_streak():
     left = blurred(layers(), 8.0, 0.0)
     soft = torch.cat([left, layers()], dim=2)
-    _, lengths = deblur_by_matte(soft, (8.0,), 4, **(SETTINGS | {"balance": 0.05}))
+    _, lengths = deblur_by_matte(soft, (8.0,), 4, **(SETTINGS | {"regularisation": 0.05}))
     still = lengths[:, 72:]
     assert still.max() == 0
     assert lengths[:, :56].max() == 8.0

@@ -10,7 +10,7 @@ from deblur_avatar.pipeline.predeblur import PredeblurParams, predeblur
 from deblur_avatar.pipeline.score_predeblur import score_predeblur
 
 PARAMS = PredeblurParams(
-    given="", lengths=(3.0, 5.0), angles=4, balance=0.002, surroundings=3.0, gain=0.05
+    given="", lengths=(3.0, 5.0), angles=4, regularisation=0.002, window_sigma=3.0, gain=0.05
 )
 
 
