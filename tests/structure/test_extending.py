@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from deblur_avatar.artifacts.body import Body
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import parse, read_yaml
 from deblur_avatar.evaluation import metrics
 from deblur_avatar.evaluation.reblur import reblur
@@ -43,21 +44,29 @@ def test_the_table_names_what_there_is() -> None:
 
 
 def test_the_trajectory_is_fitted_saved_and_evaluated(
-    shown, make_observations, start, schedule, monkeypatch
+    shown, make_observations, recipe, schedule, monkeypatch
 ) -> None:
     monkeypatch.setitem(KINDS, "spin", shown["SpinMotion"])
     section = read_yaml_block()["methods"]["spin"]
     method = parse(MethodParams, section, "methods.spin")
     seen = make_observations(frames=6)
     quiet = {"device": CPU, "generator": torch.Generator().manual_seed(0), "report": _quiet}
-    avatar, checkpoint, _ = warm_up(seen, start, schedule, **quiet)
+    avatar, checkpoint, _ = warm_up(seen, recipe, schedule, **quiet)
     avatar, motion, checkpoint, _ = fit_trajectory(
-        seen, avatar, checkpoint, start, method.trajectory, schedule, **quiet
+        seen, avatar, checkpoint, recipe, method.trajectory, schedule, **quiet
     )
     assert motion.kind == "spin"
     assert motion.u.tolist() == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9])
     avatar, refined, _ = fuse(
-        seen, avatar, motion, checkpoint, start, method.fusion, schedule, **quiet
+        seen,
+        avatar,
+        motion,
+        checkpoint,
+        recipe,
+        method.trajectory.motion,
+        method.fusion,
+        schedule,
+        **quiet,
     )
     assert not torch.equal(refined.parameters["spin"], motion.parameters["spin"])
     assert reblur(_model(avatar, seen), seen, refined)["psnr"] > 10
@@ -113,6 +122,4 @@ def _nobody(frames):
 
 
 def _model(avatar, seen):
-    from deblur_avatar.avatars.model import AvatarModel
-
-    return AvatarModel.from_artifact(avatar, seen.body, CPU)
+    return avatar_from_artifact(avatar, seen.body, CPU)
