@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import torch
 from jaxtyping import Float32
 from torch import Tensor
 
@@ -47,6 +48,14 @@ class Avatar(Artifact):
     networks: dict[str, Tensor]
     model: dict[str, Any]
     iteration: int
+
+
+def no_gaussians() -> dict[str, Tensor]:
+    """The fields of an avatar that is not made of Gaussians."""
+    sizes = {"means": (0, 3), "quats": (0, 4), "log_scales": (0, 3), "features": (0, 0)}
+    return {name: torch.zeros(size) for name, size in sizes.items()} | {
+        "opacity_logits": torch.zeros(0)
+    }
 
 
 def composition_on_disk(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.avatar import (
+    Avatar,
+    composition_on_disk,
+    no_gaussians,
+    part_in_code,
+    part_on_disk,
+)
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.gaussians import Gaussians
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, Precision
@@ -24,10 +30,12 @@ from deblur_avatar.bodies.posed_body import (
     transforms_from_rotations,
     vitruvian_transforms,
 )
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.skinning import invert_rigid, skin_points
 from deblur_avatar.rendering.result import Rasterization
 
+GAUSSIANS = "gaussians."  # what names of the Gaussians' tensors begin with
 # Named parameters by the name of their learning rate.
 ParameterGroups = dict[str, list[tuple[str, nn.Parameter]]]
 # Penalties by the names of their weights, each computed when it is called.
@@ -115,17 +123,46 @@ class AvatarModel(nn.Module, ABC):
         """
 
     @classmethod
-    @abstractmethod
+    def rebuilt(cls, avatar: Avatar, params: Any, body: Body) -> "AvatarModel":
+        """The avatar that was saved, before its networks or grids are filled in."""
+        saved = avatar.model
+        return cls(params, body, avatar.betas, saved["frames"], saved["light"])
+
+    @classmethod
     def from_artifact(cls, avatar: Avatar, params: Any, body: Body) -> "AvatarModel":
         """Rebuild what `to_artifact` saved; `params` are of its `Params`.
 
         Raises:
             ArtifactError: if what was saved is not of these parameters.
         """
+        model = cls.rebuilt(avatar, params, body)
+        own = {name for name in model.state_dict() if not name.startswith(GAUSSIANS)}
+        wanted = {part_on_disk(name) for name in own}
+        if wanted != avatar.networks.keys():
+            odd = sorted(wanted ^ avatar.networks.keys())
+            raise ArtifactError(f"avatar/1: networks do not fit model: {odd}; run `dvc repro`")
+        networks = {part_in_code(name): value for name, value in avatar.networks.items()}
+        model.load_state_dict(networks, strict=False)
+        return model
 
-    @abstractmethod
     def to_artifact(self, iteration: int) -> Avatar:
         """What a later stage, or another program, needs to draw this avatar."""
+        self.invalidate_neighbours()
+        # Clones: fitting works in place, and an artifact never changes.
+        state = {name: value.cpu().clone() for name, value in self.state_dict().items()}
+        gaussians = no_gaussians() if self.densified is None else {}
+        return Avatar(
+            **gaussians,
+            **{k.removeprefix(GAUSSIANS): v for k, v in state.items() if k.startswith(GAUSSIANS)},
+            betas=self.betas.cpu(),
+            networks={part_on_disk(k): v for k, v in state.items() if not k.startswith(GAUSSIANS)},
+            model={
+                "params": composition_on_disk(self.params.model_dump(mode="json")),
+                "frames": self.frames,
+                "light": self.light,
+            },
+            iteration=iteration,
+        )
 
     @abstractmethod
     def condition(

@@ -13,12 +13,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from deblur_avatar.artifacts.avatar import (
-    Avatar,
-    composition_on_disk,
-    part_in_code,
-    part_on_disk,
-)
+from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.avatar import (
     AvatarModel,
@@ -33,7 +28,6 @@ from deblur_avatar.avatars.gaussians import (
     neighbour_indices,
 )
 from deblur_avatar.avatars.skinning_field import surface_weights
-from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.rendering.covariance_factors import covariance_factors, covariances
 from deblur_avatar.rendering.posing import pose_gaussians
@@ -41,7 +35,6 @@ from deblur_avatar.rendering.rasterize import rasterize
 
 # 3DGS-Avatar: five nearest, the point itself among them. Not a parameter: weights are tuned to it.
 KNN = 4
-OWN = "gaussians."  # of the state's names
 
 
 @dataclass(frozen=True)
@@ -101,43 +94,15 @@ class SplatAvatar(AvatarModel):
         return cls(params, gaussians, body, betas, frames, light)
 
     @classmethod
-    def from_artifact(cls, avatar: Avatar, params: Any, body: Body) -> "SplatAvatar":
-        """Rebuild what was saved.
-
-        Raises:
-            ArtifactError: if its networks are not those of the composition.
-        """
+    def rebuilt(cls, avatar: Avatar, params: Any, body: Body) -> "SplatAvatar":
+        """The avatar that was saved, with its Gaussians."""
         # Clones: fitting works in place, and an artifact never changes.
         gaussians = Gaussians(
             avatar.means.clone(), avatar.quats.clone(), avatar.log_scales.clone(),
             avatar.opacity_logits.clone(), avatar.features.clone(),
         )  # fmt: skip
-        parts = avatar.model
-        model = cls(params, gaussians, body, avatar.betas, parts["frames"], parts["light"])
-        wanted = {part_on_disk(name) for name in model.state_dict() if not name.startswith(OWN)}
-        if wanted != avatar.networks.keys():
-            odd = sorted(wanted ^ avatar.networks.keys())
-            raise ArtifactError(f"avatar/1: networks do not fit model: {odd}; run `dvc repro`")
-        networks = {part_in_code(name): value for name, value in avatar.networks.items()}
-        model.load_state_dict(networks, strict=False)
-        return model
-
-    def to_artifact(self, iteration: int) -> Avatar:
-        """What a later stage, or another program, needs to draw this avatar."""
-        self.invalidate_neighbours()
-        # Clones: fitting works in place, and an artifact never changes.
-        state = {name: value.cpu().clone() for name, value in self.state_dict().items()}
-        return Avatar(
-            **{k.removeprefix(OWN): v for k, v in state.items() if k.startswith(OWN)},
-            betas=self.betas.cpu(),
-            networks={part_on_disk(k): v for k, v in state.items() if not k.startswith(OWN)},
-            model={
-                "params": composition_on_disk(self.params.model_dump(mode="json")),
-                "frames": self.frames,
-                "light": self.light,
-            },
-            iteration=iteration,
-        )
+        saved = avatar.model
+        return cls(params, gaussians, body, avatar.betas, saved["frames"], saved["light"])
 
     def render(
         self,

@@ -144,7 +144,9 @@ def _size(avatar: Avatar, motion: Motion, train: Sequence[int]) -> dict[str, Any
         avatar.means, avatar.quats, avatar.log_scales, avatar.opacity_logits, avatar.features,
     )  # fmt: skip
     tensors = [*gaussians, *avatar.networks.values()]
-    parts = [name for name, part in avatar.model["params"].items() if part is not None]
+    made_of = avatar.model["params"]
+    parts = [name for name, part in made_of.items() if part is not None and name != "kind"]
+    parts = [f"avatar:{made_of['kind']}", *parts] if "kind" in made_of else parts
     return {
         "gaussians": len(avatar.means),
         "parameters": sum(tensor.numel() for tensor in tensors),
