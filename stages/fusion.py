@@ -8,8 +8,8 @@ from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.pipeline.fusion import fuse
-from deblur_avatar.pipeline.parameters import MethodParams
+from deblur_avatar.motion.kinds import AnyMotionParams
+from deblur_avatar.pipeline.fusion import FusionParams, fuse
 from deblur_avatar.training.fitting_stage import fitting_stage
 from deblur_avatar.training.params import RecipeParams
 
@@ -20,16 +20,17 @@ def main(
 ) -> None:  # fmt: skip
     """Finish the avatar and its motion."""
     recipe = load_params(params_file, f"avatars.{avatar}", RecipeParams)
-    chosen = load_params(params_file, f"methods.{method}", MethodParams)
-    settings, inputs = [recipe, chosen], [observations, trajectory]
+    moves = load_params(params_file, f"methods.{method}.trajectory.motion", AnyMotionParams)
+    params = load_params(params_file, f"methods.{method}.fusion", FusionParams)
+    settings, inputs = [recipe, moves, params], [observations, trajectory]
     with fitting_stage("fusion", out, params_file, settings, inputs) as stage:
         fitted, motion, measured = fuse(
             Observations.load(observations),
             Avatar.load(trajectory / "avatar"),
             Motion.load(trajectory / "motion"),
             Checkpoint.load(trajectory / "checkpoint"),
-            recipe, chosen.trajectory.motion, chosen.fusion, stage.schedule, device=stage.device,
-            generator=stage.generator, report=stage.report, folder=stage.folder,
+            recipe, moves, params, stage.schedule, device=stage.device, generator=stage.generator,
+            report=stage.report, folder=stage.folder,
         )  # fmt: skip
         fitted.save(out / "avatar")
         motion.save(out / "motion")

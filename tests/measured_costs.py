@@ -9,7 +9,7 @@ from deblur_avatar.config.runs import RunParams
 
 def run_of(scene: str, method: str) -> RunParams:
     """A run of its own warm-up."""
-    return RunParams(scene=scene, observations="blurred", start=method, method=method)
+    return RunParams(scene=scene, observations="blurred", avatar=method, method=method)
 
 
 def write_costs(

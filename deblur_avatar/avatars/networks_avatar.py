@@ -32,11 +32,11 @@ from deblur_avatar.rendering.covariance_factors import covariance_factors
 # Not parameters: networks that were fitted in one box are wrong in another.
 BOX_PADDING = 0.1  # of the canonical body's extent on each side (3DGS-Avatar)
 COLORS = 3  # features without a colour network: raw colours
-# Not parameters: enough for any body, and what `pretrain` was chosen with.
+# Not parameters: enough for any body; how long and how strongly are `pretrain`, `early`, `late`.
 SKINNING_SAMPLES = 1024  # points on the body a step (3DGS-Avatar)
 PRETRAIN_SAMPLES = 4096
 PRETRAIN_RATE = 2e-3
-POSE_NOISE_SHARE = 0.5  # of the steps have noise on the conditioning pose (3DGS-Avatar)
+POSE_NOISE_SHARE = 0.5  # of the steps have `pose_noise` (3DGS-Avatar), which can be 0
 
 
 class NetworksAvatar(SplatAvatar):

@@ -15,7 +15,8 @@ from deblur_avatar.avatars.gaussians import Gaussians
 from deblur_avatar.avatars.params import DensifyParams
 from deblur_avatar.geometry.rotations import quat_to_matrix
 
-SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are (Kerbl et al. 2023)
+# Not a parameter: 3DGS's (Kerbl et al. 2023); which are split, DensifyParams' thresholds say.
+SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are
 
 
 class Densifier:

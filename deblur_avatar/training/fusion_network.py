@@ -15,8 +15,10 @@ from deblur_avatar.avatars.networks import ConditionedMLP
 from deblur_avatar.avatars.params import Precision
 from deblur_avatar.config.section import Count, Params, Positive
 
-TOGETHER = 512  # rows of pixels are filled up to a multiple of it
-FREQUENCIES = 4  # of the position code: sine and cosine of rows and of columns, 16 numbers
+TOGETHER = 512  # rows of pixels are filled up to a multiple of it; changes no result
+FREQUENCIES = (
+    4  # the authors': of the position code: sine and cosine of rows and of columns, 16 numbers
+)
 
 
 class FusionNetworkParams(Params):

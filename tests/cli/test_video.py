@@ -64,8 +64,8 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     changed = content(path)
     assert changed["scenes"]["anna"]["clip"]["field_of_view"] == 75.0
     assert set(changed["runs"]) == {"anna-lean", "anna-agnostic"}
-    assert changed["runs"]["anna-lean"]["start"] == "lean"
-    assert changed["runs"]["anna-agnostic"]["start"] == "paper"
+    assert changed["runs"]["anna-lean"]["avatar"] == "lean"
+    assert changed["runs"]["anna-agnostic"]["avatar"] == "paper"
     assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
 
 

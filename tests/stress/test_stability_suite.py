@@ -231,8 +231,9 @@ def test_a_method_without_a_shutter_is_left_out(suite, recipe):
 
 def test_an_estimated_shutter_is_told(suite, recipe):
     severity = SeverityParams(
-        scene="turn", damage={"shutter_times": 2.0}, fit={"estimated_shutter": 1.0}
-    )
+        scene="turn", damage={"shutter_times": 2.0},
+        fit={"estimated_shutter": 0.02, "shutter_weight": 1e-3},
+    )  # fmt: skip
     item = _run(suite, ModeParams(title="x", severities={"a": severity}), "lean", recipe)
     row = item.rows["a"]
     assert row["given_exposure_s"] == pytest.approx(2 * 17 / 480)
