@@ -23,6 +23,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +44,18 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.half_precision import as_computed
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.avatars.params import ModelParams, Precision
+from deblur_avatar.avatars.kinds import AVATARS
+from deblur_avatar.avatars.params import Precision
+from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.parameters import MethodParams
-from deblur_avatar.pipeline.fusion import FusedParams, new_network
+from deblur_avatar.pipeline.fusion import FusedParams, network_params, new_network
 from deblur_avatar.pipeline.trajectory import new_trajectory
-from deblur_avatar.rendering.rasterize import rasterize
 from deblur_avatar.run import stage
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import FitParams, RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit
 
@@ -62,12 +64,12 @@ METHODS = {
     "agnostic": "paper", "no_nonrigid": "no_nonrigid", "no_fusion": "paper", "n3": "paper",
     "paper": "paper", "n7": "paper", "n9": "paper", "n13": "paper", "cubic": "paper",
     "learned": "paper", "released": "released", "lean": "lean",
-}  # fmt: skip  # and the start each goes on from
+}  # fmt: skip  # and the avatar each goes on from
 FRAMES = 8
 FPS = 60.0
 EXPOSURE = 4 / FPS  # seconds
 STEPS = 34
-TERMS = ("pictures", "skinning", "isometry", "evenness", "priors")
+TERMS = ("pictures", "regularisers", "priors")
 
 
 def observations(size: int) -> Observations:
@@ -91,9 +93,9 @@ def observations(size: int) -> Observations:
         sizes=torch.tensor([[size, size]]),
         names=("front",),
     )
-    plain = ModelParams(nonrigid=None, skinning=None, color=None)
     generator = torch.Generator().manual_seed(0)
-    model = AvatarModel.create(plain, body, poses.betas, FRAMES, 2000, "srgb", generator)
+    plain = PlainParams(kind="plain")
+    model = PlainAvatar.create(plain, body, poses.betas, FRAMES, 2000, "srgb", generator)
     with torch.no_grad():
         model.gaussians.features.copy_(4 * torch.sin(7 * model.gaussians.means))
         model.gaussians.opacity_logits.fill_(3.0)
@@ -125,15 +127,15 @@ def begin(
 
     All its networks are computed in `precision`; None for the parameters' own.
     """
-    start = load_params(PARAMETERS, f"starts.{METHODS[name]}", StartParams)
+    recipe = load_params(PARAMETERS, f"avatars.{METHODS[name]}", RecipeParams)
     if precision is not None:
-        model_params = start.model.model_copy(update={"precision": precision})
-        start = start.model_copy(update={"model": model_params})
+        model_params = recipe.model.model_copy(update={"precision": precision})
+        recipe = recipe.model_copy(update={"model": model_params})
     method = load_params(PARAMETERS, f"methods.{name}", MethodParams)
     generator = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
-    model = AvatarModel.create(
-        start.model, seen.body, seen.poses.betas, FRAMES, schedule.gaussians, seen.light, generator
+    model = AVATARS[recipe.model.kind].create(
+        recipe.model, seen.body, seen.poses.betas, FRAMES, schedule.gaussians, seen.light, generator
     )
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(2.0)
@@ -141,10 +143,14 @@ def begin(
     if precision is not None and isinstance(fusion, FusedParams):
         in_precision = fusion.network.model_copy(update={"precision": precision})
         fusion = fusion.model_copy(update={"network": in_precision})
-    network = new_network(fusion, start, model, FRAMES)
+    network = new_network(fusion, model, FRAMES)
     trajectory = new_trajectory(seen, method.trajectory.motion, generator)
     device = torch.device("cpu")
-    fit = AvatarFit(model, trajectory, seen, start, schedule, device, generator, network)
+    params = FitParams(
+        recipe=recipe, motion=method.trajectory.motion, schedule=schedule,
+        fusion=network_params(fusion),
+    )  # fmt: skip
+    fit = AvatarFit(model, trajectory, seen, params, device, generator, network)
     last = schedule.fusion  # past the last edit of the Gaussians
 
     def step(index: int) -> None:
@@ -155,20 +161,15 @@ def begin(
 
 def naive(fit: AvatarFit) -> Step:
     """The same step of `paper` without sharing anything between the instants of an exposure."""
-    model, camera = fit.model, (fit._viewmat, fit._K)
+    model, camera = fit.avatar, fit._camera
 
     def render(index: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor, Any, Any]:
-        target = fit._targets[index]
-        height, width = target.matte.shape
-        frame_state = model.condition(rotations, index)
         transforms = model.transforms(rotations[None], transl[None])
-        colors = model.colors(frame_state, transforms[0], fit._viewmat)
-        means, covars = frame_state.posed(transforms)
-        scene = (means, covars, model.gaussians.opacities)
-        image = rasterize(*scene, colors, *camera, width, height).image[0]
-        white = torch.ones_like(colors)
-        alpha = rasterize(*scene, white, *camera, width, height).image[0, :, :, 0]
-        return image, alpha, frame_state, (means[0], covars[0])
+        frame_state = model.condition(rotations, index, transforms[0], camera.viewmat)
+        drawn = model.render(frame_state, transforms, camera)
+        white = replace(frame_state, colors=torch.ones_like(frame_state.colors))
+        alpha = model.render(white, transforms, camera).image[0, :, :, 0]
+        return drawn.image[0], alpha, frame_state, drawn
 
     def step(iteration: int) -> None:
         index = fit._next_frame()
@@ -180,17 +181,16 @@ def naive(fit: AvatarFit) -> Step:
         mean = torch.stack([image for image, *_ in drawn]).mean(0)
         alpha = torch.stack([alpha for _, alpha, *_ in drawn]).mean(0)
         centre = instants.centre_rotations, instants.centre_transl
-        sharp, sharp_alpha, frame_state, posed = render(index, *centre)
+        sharp, sharp_alpha, frame_state, rendering = render(index, *centre)
         assert fit.fusion is not None
         assert frame_state.pose_code is not None
         covered = (alpha > 0) | (sharp_alpha > 0)
         blend = fit.fusion(sharp, covered, frame_state.pose_code, index)
-        last = fit._schedule.fusion - STEPS + iteration
+        now = fit._step(fit._params.schedule.fusion - STEPS + iteration)
         terms = fit.objective.pictures(
             [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target
-        ) | fit.objective.skinning(last)
-        terms |= fit.objective.isometry(*posed)
-        fit.descent.step(last, torch.stack(list(terms.values())).sum())
+        ) | fit.objective.regularisers(rendering, now)
+        fit.optimizers.step(now, torch.stack(list(terms.values())).sum())
 
     return step
 
@@ -220,10 +220,10 @@ def profiled(fit: AvatarFit, step: Step) -> dict[str, Any]:
     """
     work = shares_of_work(record(step))
     named: list[tuple[Any, str, str]] = [
-        (fit.model, "condition", "networks"), (fit.model, "colors", "networks"),
-        (fit, "_transforms", "skinning"), (fit, "_rasterize", "rasterize"),
+        (fit.avatar, "condition", "networks"), (fit.avatar, "transforms", "skinning"),
+        (fit.avatar, "_rasterized", "rasterize"),
         *((fit.objective, name, "losses") for name in TERMS),
-        (fit.descent, "step", "optimiser"), (fit, "_densify", "optimiser"),
+        (fit.optimizers, "step", "optimiser"), (fit, "_densify", "optimiser"),
         (fit.trajectory, "forward", "skinning"), (fit.fusion, "forward", "networks"),
     ]  # fmt: skip
     for owner, method, part in named:
@@ -250,7 +250,7 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
     apart_full = naive(begin("paper", seen, schedule, "float32")[0])
     took, full, naively, fully = milliseconds([shared, shared_full, apart, apart_full])
     measured["naive"] = {
-        **as_computed(fit.model.params.precision, torch.device("cpu")),
+        **as_computed(fit.avatar.precision, torch.device("cpu")),
         "ms": round(took, 2),
         "float32_ms": round(full, 2),
         "naive_ms": round(naively, 2),

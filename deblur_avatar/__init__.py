@@ -28,7 +28,7 @@ _FRONT_DOOR = {
     "rasterize": ("rendering.rasterize", "rasterize"),
     "load_avatar": ("library", "load_avatar"),
     "rest_pose": ("library", "rest_pose"),
-    "render": ("avatars.model", "render_avatar"),
+    "render": ("avatars.render", "render_avatar"),
     "pose": ("exports.posed_gaussians", "posed_gaussians"),
     "animate": ("library", "animate"),
     "Poses": ("artifacts.poses", "Poses"),

@@ -15,7 +15,8 @@ from deblur_avatar.animation.showing import plan_shot, render_shot
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.cameras import look_at
@@ -35,7 +36,7 @@ def load_avatar(avatar: Path | str, body: Path | str, device: str = "cpu") -> Av
     Raises:
         ArtifactError: if one of them is not there, damaged or not of the other.
     """
-    return AvatarModel.from_artifact(
+    return avatar_from_artifact(
         Avatar.load(Path(avatar)), Body.load(Path(body)), torch.device(device)
     )
 

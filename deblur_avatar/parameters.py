@@ -17,7 +17,7 @@ from deblur_avatar.pipeline.fusion import FusionParams
 from deblur_avatar.pipeline.predeblur import PredeblurParams
 from deblur_avatar.pipeline.preprocess import PreprocessParams
 from deblur_avatar.pipeline.trajectory import TrajectoryParams
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
 
@@ -37,7 +37,7 @@ class PlacesParams(Params):
     bodies: str  # folder
     footage: str  # folder of `clip` and `preprocess`
     schedules: str  # parameter files
-    starts: str
+    avatars: str
     methods: str
     check: str
 
@@ -68,7 +68,7 @@ def check_parameters(path: Path) -> None:
     sections: dict[str, Any] = {
         "schedules": ScheduleParams,
         "bodies": BodyParams,
-        "starts": StartParams,
+        "avatars": RecipeParams,
         "methods": MethodParams,
         "scenes": SceneParams,
         "predeblur": PredeblurParams,
@@ -102,7 +102,7 @@ def _check_scenes(content: Mapping[str, Any], path: Path) -> None:
 
 
 def _check_runs(content: Mapping[str, Any], path: Path) -> None:
-    named = {"scene": "scenes", "start": "starts", "method": "methods"}
+    named = {"scene": "scenes", "avatar": "avatars", "method": "methods"}
     for section in ("warmups", "runs"):
         for name, entry in content[section].items():
             for key in named.keys() & entry.keys():
@@ -112,7 +112,7 @@ def _check_runs(content: Mapping[str, Any], path: Path) -> None:
                         f"{path}: {section}.{name}: no {key} {entry[key]!r}, there is {known}"
                     )
     for name, entry in content["runs"].items():
-        warmup = f"{entry['scene']}-{entry['observations']}-{entry['start']}"
+        warmup = f"{entry['scene']}-{entry['observations']}-{entry['avatar']}"
         if warmup not in content["warmups"]:
             raise ConfigError(f"{path}: runs.{name} goes on from {warmup}, add it to warmups")
     for name, entry in section_of(content, path, "learning_curves", dict).items():

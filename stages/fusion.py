@@ -8,29 +8,31 @@ from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.motion.kinds import AnyMotionParams
 from deblur_avatar.pipeline.fusion import FusionParams, fuse
 from deblur_avatar.training.fitting_stage import fitting_stage
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 
 
 def main(
-    start: str, method: str, observations: Path, trajectory: Path, out: Path, metrics: Path,
+    avatar: str, method: str, observations: Path, trajectory: Path, out: Path, metrics: Path,
     cost: Path, params_file: Path,
 ) -> None:  # fmt: skip
     """Finish the avatar and its motion."""
-    begun = load_params(params_file, f"starts.{start}", StartParams)
+    recipe = load_params(params_file, f"avatars.{avatar}", RecipeParams)
+    moves = load_params(params_file, f"methods.{method}.trajectory.motion", AnyMotionParams)
     params = load_params(params_file, f"methods.{method}.fusion", FusionParams)
-    inputs = [observations, trajectory]
-    with fitting_stage("fusion", out, params_file, [begun, params], inputs) as stage:
-        avatar, motion, measured = fuse(
+    settings, inputs = [recipe, moves, params], [observations, trajectory]
+    with fitting_stage("fusion", out, params_file, settings, inputs) as stage:
+        fitted, motion, measured = fuse(
             Observations.load(observations),
             Avatar.load(trajectory / "avatar"),
             Motion.load(trajectory / "motion"),
             Checkpoint.load(trajectory / "checkpoint"),
-            begun, params, stage.schedule, device=stage.device, generator=stage.generator,
+            recipe, moves, params, stage.schedule, device=stage.device, generator=stage.generator,
             report=stage.report, folder=stage.folder,
         )  # fmt: skip
-        avatar.save(out / "avatar")
+        fitted.save(out / "avatar")
         motion.save(out / "motion")
         stage.finish(metrics, cost, measured)
 

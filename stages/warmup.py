@@ -1,4 +1,4 @@
-"""Stage `warmup`: a sharp-frame avatar, shared by every method that starts like this."""
+"""Stage `warmup`: a sharp-frame avatar, shared by every method that goes on from it."""
 
 from pathlib import Path
 
@@ -7,25 +7,25 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.fitting_stage import fitting_stage
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 
 
 def main(
-    start: str, observations: Path, out: Path, metrics: Path, cost: Path, params_file: Path
+    avatar: str, observations: Path, out: Path, metrics: Path, cost: Path, params_file: Path
 ) -> None:
     """Fit an avatar to the frames as if they were sharp."""
-    params = load_params(params_file, f"starts.{start}", StartParams)
-    with fitting_stage("warmup", out, params_file, [params], [observations]) as stage:
-        avatar, checkpoint, measured = warm_up(
+    recipe = load_params(params_file, f"avatars.{avatar}", RecipeParams)
+    with fitting_stage("warmup", out, params_file, [recipe], [observations]) as stage:
+        fitted, checkpoint, measured = warm_up(
             Observations.load(observations),
-            params,
+            recipe,
             stage.schedule,
             device=stage.device,
             generator=stage.generator,
             report=stage.report,
             folder=stage.folder,
         )
-        avatar.save(out / "avatar")
+        fitted.save(out / "avatar")
         checkpoint.save(out / "checkpoint")
         stage.finish(metrics, cost, measured)
 

@@ -13,18 +13,18 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import parse, read_yaml
 from deblur_avatar.geometry.cameras import look_at
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 from tests.filmed_scene import Scene, film
 
 SIZE = 24  # pixels
 
-PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
+PLAIN = PlainParams(kind="plain")
 
 
 @pytest.fixture(scope="session")
@@ -59,10 +59,10 @@ def camera(size: int = SIZE) -> Cameras:
     )
 
 
-def colourful(body: Body, frames: int, count: int = 150, light: str = "srgb") -> AvatarModel:
+def colourful(body: Body, frames: int, count: int = 150, light: str = "srgb") -> PlainAvatar:
     """An avatar whose colours tell its parts apart."""
     generator = torch.Generator().manual_seed(3)
-    model = AvatarModel.create(
+    model = PlainAvatar.create(
         PLAIN, body, torch.zeros(body.shape_dirs.shape[2]), frames, count, light, generator
     )
     with torch.no_grad():
@@ -133,10 +133,10 @@ def swinging(body: Body) -> Callable[[int, float], Poses]:
 
 
 @pytest.fixture
-def painted(body: Body) -> Callable[..., AvatarModel]:
+def painted(body: Body) -> Callable[..., PlainAvatar]:
     """The avatar that `observations` show, without any network."""
 
-    def make(frames: int = 5, light: str = "srgb", count: int = 150) -> AvatarModel:
+    def make(frames: int = 5, light: str = "srgb", count: int = 150) -> PlainAvatar:
         return colourful(body, frames, count, light)
 
     return make
@@ -146,7 +146,7 @@ def painted(body: Body) -> Callable[..., AvatarModel]:
 def tiny_parameters() -> dict[str, Any]:
     """What params.yaml holds, made so small that a whole fit takes a second; not to be changed."""
     content = read_yaml(Path(__file__).parents[1] / "params.yaml")
-    model = content["starts"]["paper"]["model"]
+    model = content["avatars"]["paper"]["model"]
     model["nonrigid"] = {"bins": 4, "hidden": [8], "codes": 2}
     model["skinning"] = {"hidden": [16], "pretrain": 20}
     model["color"] = {"features": 4, "hidden": [8], "latent": 2, "view_noise_degrees": 45.0}
@@ -165,8 +165,17 @@ def tiny_content(tiny_parameters: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.fixture
-def start(tiny_content: dict[str, Any]) -> StartParams:
-    return parse(StartParams, tiny_content["starts"]["paper"], "starts.paper")
+def recipe(tiny_content: dict[str, Any]) -> RecipeParams:
+    return parse(RecipeParams, tiny_content["avatars"]["paper"], "avatars.paper")
+
+
+@pytest.fixture
+def plain_recipe(tiny_content: dict[str, Any]) -> RecipeParams:
+    """Of an avatar without networks, whose neighbours are not held alike."""
+    content = tiny_content["avatars"]["lean"]
+    weights = content["fitting"]["regularisers"]
+    content["fitting"]["regularisers"] = dict.fromkeys(weights, 0.0)
+    return parse(RecipeParams, content, "avatars.lean")
 
 
 @pytest.fixture
@@ -176,7 +185,7 @@ def schedule(tiny_content: dict[str, Any]) -> ScheduleParams:
 
 @pytest.fixture
 def scene(
-    painted: Callable[..., AvatarModel], make_observations: Callable[..., Observations]
+    painted: Callable[..., PlainAvatar], make_observations: Callable[..., Observations]
 ) -> Scene:
     """What the stages after fitting read."""
     return film(painted(frames=8), make_observations(frames=8))

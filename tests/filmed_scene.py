@@ -11,7 +11,8 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.motion.frame import FrameMotion
 

@@ -9,7 +9,7 @@ from deblur_avatar.config.runs import RunParams
 
 def run_of(scene: str, method: str) -> RunParams:
     """A run of its own warm-up."""
-    return RunParams(scene=scene, observations="blurred", start=method, method=method)
+    return RunParams(scene=scene, observations="blurred", avatar=method, method=method)
 
 
 def write_costs(
@@ -20,7 +20,7 @@ def write_costs(
     kept = [{"iteration": i, "seconds": s} for i, s in (snapshots or {}).items()]
     spent = {"seconds": 0.0, "peak_memory_mb": 300.0, "snapshots": []}
     contents = {
-        f"warmup/{run.scene}-{run.observations}-{run.start}": spent,
+        f"warmup/{run.scene}-{run.observations}-{run.avatar}": spent,
         f"trajectory/{item}": spent,
         f"fusion/{item}": spent | {"seconds": seconds, "snapshots": kept},
         f"evaluate/{item}": {"render_fps": 50.0},

@@ -15,7 +15,7 @@ from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.fusion import fuse
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
 DEGENERATE_SCALE = 1e-12  # metres
@@ -36,11 +36,11 @@ class Fitted:
 class FitSetup:
     """What all fits of one method share.
 
-    `start` is what the avatar is made of, `method` what follows the warm-up; `validation_stride` is
-    as `preprocess` wants it; damage and fits draw from `seed`, alike for every method.
+    `recipe` is what the avatar is made of, `method` what follows the warm-up; `validation_stride`
+    is as `preprocess` wants it; damage and fits draw from `seed`, alike for every method.
     """
 
-    start: StartParams
+    recipe: RecipeParams
     method: MethodParams
     schedule: ScheduleParams
     validation_stride: int
@@ -63,24 +63,24 @@ def fit_method(
     Raises:
         ConfigError, ArtifactError: as the stages do.
     """
-    start, method, schedule, device = setup.start, setup.method, setup.schedule, setup.device
+    recipe, method, schedule, device = setup.recipe, setup.method, setup.schedule, setup.device
     drawn = run.derive_seed(setup.seed + draw, "stability")
     torch.manual_seed(drawn)  # third parties draw from it
     generator = torch.Generator(device=device).manual_seed(drawn)
     begin = time.perf_counter()
     avatar, checkpoint, _ = warm_up(
-        observations, start, schedule, device=device, generator=generator, report=_silence
+        observations, recipe, schedule, device=device, generator=generator, report=_silence
     )
     if degenerate > 0:
         avatar = _with_degenerate_gaussians(avatar, degenerate)
     avatar, motion, checkpoint, cost = fit_trajectory(
-        observations, avatar, checkpoint, start, method.trajectory, schedule,
+        observations, avatar, checkpoint, recipe, method.trajectory, schedule,
         device=device, generator=generator, report=_silence,
     )  # fmt: skip
     shutter, std = motion.shutter, cost.get("shutter_std_s")
     avatar, motion, _ = fuse(
-        observations, avatar, motion, checkpoint, start, method.fusion, schedule,
-        device=device, generator=generator, report=_silence,
+        observations, avatar, motion, checkpoint, recipe, method.trajectory.motion,
+        method.fusion, schedule, device=device, generator=generator, report=_silence,
     )  # fmt: skip
     return Fitted(avatar, motion, shutter, std, time.perf_counter() - begin)
 

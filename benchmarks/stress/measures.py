@@ -22,7 +22,9 @@ from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
 from deblur_avatar.evaluation.recovery import averaged
@@ -144,7 +146,7 @@ def _area_error(
     device: torch.device,
 ) -> float:
     """By which share rendered silhouettes are larger than true ones, over all test views."""
-    model = AvatarModel.from_artifact(fitted.avatar, observations.body, device)
+    model = avatar_from_artifact(fitted.avatar, observations.body, device)
     rendered, true = 0.0, 0.0
     for comparison in shown:
         view = comparison.view
@@ -174,7 +176,7 @@ def _stretch(
     if not times or reference.motion is None or reference.motion_times is None:
         return None
     nearest = [int((reference.motion_times - time).abs().argmin()) for time in times]
-    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    model = avatar_from_artifact(avatar, observations.body, device)
     trained = _longest(model, observations.poses.at(list(observations.train)))
     posed = _longest(model, reference.motion.at(nearest))
     return float((posed / trained.clamp(min=1e-9)).max())
@@ -183,11 +185,13 @@ def _stretch(
 def _longest(model: AvatarModel, poses: Poses) -> Float[Tensor, " N"]:
     """Each Gaussian's longest axis over some poses, metres."""
     rotations = axis_angle_to_matrix(poses.axis_angle).to(model.betas)
+    view = torch.eye(4).to(model.betas)  # no length depends on it
     with torch.no_grad():
         transforms = model.transforms(rotations, poses.transl.to(model.betas))
         lengths = []
         for index in range(len(rotations)):
-            _, covars = model.condition(rotations[index], 0).posed(transforms[index : index + 1])
+            state = model.condition(rotations[index], 0, transforms[index], view)
+            _, covars = state.posed(transforms[index : index + 1])
             xx, xy, xz, yy, yz, zz = covars[0].unbind(-1)
             rows = (xx, xy, xz, xy, yy, yz, xz, yz, zz)
             full = torch.stack(rows, -1).unflatten(-1, (3, 3))

@@ -28,8 +28,9 @@ class SeverityParams(Params):
     `damage` names functions of `damage.py` with their amounts, applied in order. `fit` may
     hold `budget` (times the schedule), `seed` (another draw), `draws` (how many, from that one on,
     are averaged), `oracle` (a method without a model of blur is fitted to the sharp frames, too),
-    `estimated_shutter`, `exposure_gain`, `start_noise` (radians, instead of the method's) and
-    `needles` (share of the Gaussians that become degenerate).
+    `estimated_shutter` (its learning rate, with the prior's `shutter_weight`), `exposure_gain`,
+    `start_noise` (radians, instead of the method's) and `needles` (share of the Gaussians that
+    become degenerate).
     """
 
     scene: str

@@ -32,12 +32,13 @@ from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import write_picture
+from deblur_avatar.motion.clip import EstimatedShutter
 from deblur_avatar.pipeline.check import check_scene
 
 logger = logging.getLogger(__name__)
 
-FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "exposure_gain",
-            "start_noise", "needles")  # fmt: skip
+FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "shutter_weight",
+            "exposure_gain", "start_noise", "needles")  # fmt: skip
 PICTURES = ("blurred", "render", "truth")
 
 LoadScene = Callable[[str], tuple[Clip, Reference]]
@@ -153,14 +154,16 @@ def _draws(
 
 
 def _changed(setup: FitSetup, fit: Mapping[str, float]) -> FitSetup:
-    """Start, method and schedule as a severity wants them."""
-    start, method = setup.start, setup.method
+    """Recipe, method and schedule as a severity wants them."""
+    recipe, method = setup.recipe, setup.method
     changes: dict[str, Any] = {}
     if "exposure_gain" in fit:
-        start = start.model_copy(update={"exposure_gain": "frame"})
+        recipe = recipe.model_copy(update={"exposure_gain": "frame"})
     motion = method.trajectory.motion
     if "estimated_shutter" in fit:
-        changes["shutter"] = "estimated"
+        changes["shutter"] = EstimatedShutter(
+            kind="estimated", rate=fit["estimated_shutter"], weight=fit["shutter_weight"]
+        )
     if "start_noise" in fit:
         changes["start_noise"] = fit["start_noise"]
     # Of what the method's kind of trajectory has: the others have nothing to change.
@@ -169,7 +172,7 @@ def _changed(setup: FitSetup, fit: Mapping[str, float]) -> FitSetup:
     trajectory = method.trajectory.model_copy(update={"motion": motion})
     return replace(
         setup,
-        start=start,
+        recipe=recipe,
         method=method.model_copy(update={"trajectory": trajectory}),
         schedule=lengthened(setup.schedule, fit.get("budget", 1.0)),
     )

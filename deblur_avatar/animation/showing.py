@@ -15,7 +15,8 @@ from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.placement import framed_intrinsics, level_view, place
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.cameras import Camera
 

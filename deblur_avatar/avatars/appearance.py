@@ -14,8 +14,8 @@ from deblur_avatar.avatars.networks import ConditionedMLP, spherical_harmonics
 from deblur_avatar.avatars.params import Precision
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 
-HARMONICS = 15  # of degrees 1 to 3
-MAX_VIEW_NOISE = 90.0  # degrees
+HARMONICS = 15  # of degrees 1 to 3: what `spherical_harmonics` returns
+MAX_VIEW_NOISE = 90.0  # degrees; 3DGS-Avatar's clamp, the width is a parameter
 
 
 class ColorNetwork(nn.Module):

@@ -10,7 +10,8 @@ from jaxtyping import Float, Int64
 from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
-FIRST_OPACITY = 0.1  # 3DGS, Kerbl et al. 2023
+# Not parameters: 3DGS's first values (Kerbl et al. 2023), which fitting leaves in a few steps.
+FIRST_OPACITY = 0.1
 SCALE_NEIGHBOURS = 3  # a Gaussian starts as wide as it is far from these many others
 SMALLEST_SPACING = 1e-7  # square metres
 

@@ -22,7 +22,7 @@ from torch.autograd.function import once_differentiable
 from deblur_avatar.avatars.params import Precision
 
 HALF: Final = torch.bfloat16
-NARROW: Final = 16  # inputs
+NARROW: Final = 16  # inputs; fewer are coordinates, which need all digits
 
 
 def leaky_layers(

@@ -17,7 +17,7 @@ from torch.autograd.function import once_differentiable
 from deblur_avatar.avatars.half_precision import leaky_layers
 from deblur_avatar.avatars.params import Precision
 
-LEAKY_SLOPE = 0.01  # 3DGS-Avatar
+LEAKY_SLOPE = 0.01  # 3DGS-Avatar, and PyTorch's own; saved networks are of this slope
 
 
 class ConditionedMLP(nn.Module):

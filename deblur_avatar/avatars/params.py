@@ -1,60 +1,113 @@
-"""Parameters of an avatar: which networks it is composed of."""
+"""Parameters that kinds of avatars share: of what they are made, and how they are fitted.
 
-from typing import Annotated, Literal
+Iterations count as in the paper's 15,000.
+"""
 
-from pydantic import Field, model_validator
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from deblur_avatar.config.section import (
     Count,
-    NonNegative,
+    Fraction,
     Params,
+    Positive,
 )
 
 # Of the layers of a network: float32, or products of bfloat16 summed in float32.
 Precision = Literal["float32", "bfloat16"]
+Iteration = Annotated[int, Field(ge=0)]
 
 
-class NonRigidParams(Params):
-    """The network that moves clothes with the pose."""
+@dataclass(frozen=True)
+class LearningRate:
+    """How fast the parameters of a group move: `first * ratio ** (share of the run / span)`."""
 
-    bins: Count  # of the one-blob encoding, per axis
-    hidden: tuple[Count, ...]
-    codes: Annotated[int, Field(ge=0)]  # numbers handed on to the colours
+    first: float
+    ratio: float = 1.0
+    span: float = 1.0  # runs
+    weight_decay: float = 0.0
 
-
-class SkinningParams(Params):
-    """The network that learns blend weights; None means the body's own."""
-
-    hidden: tuple[Count, ...]
-    pretrain: Annotated[int, Field(ge=0)]  # iterations on the body's own weights before anything
-
-
-class ColorParams(Params):
-    """The network that colours; None means one colour a Gaussian."""
-
-    features: Count
-    hidden: tuple[Count, ...]
-    latent: Count
-    view_noise_degrees: NonNegative
+    def at(self, share: float) -> float:
+        """The rate at a share of the run."""
+        return self.first * self.ratio ** (share / self.span)
 
 
-class ModelParams(Params):
-    """Which parts an avatar is composed of.
+class AvatarParams(Params):
+    """What an avatar is made of; each kind adds its own, beside its class."""
 
-    `precision` is that of the networks' layers; an avatar without networks states none.
-    """
+    kind: str
 
-    precision: Precision | None = None
-    nonrigid: NonRigidParams | None
-    skinning: SkinningParams | None
-    color: ColorParams | None
 
-    @model_validator(mode="after")
-    def _precision_of_networks(self) -> "ModelParams":
-        networks = (self.nonrigid, self.skinning, self.color)
-        has_networks = any(network is not None for network in networks)
-        if has_networks and self.precision is None:
-            raise ValueError("networks need a precision, float32 or bfloat16")
-        if not has_networks and self.precision is not None:
-            raise ValueError("an avatar without networks takes no precision; remove the key")
-        return self
+class FittingParams(Params):
+    """How an avatar of one kind is fitted; each kind adds its own, beside its class."""
+
+    @property
+    def clip(self) -> float | None:
+        """Norm to which the gradients of all but the Gaussians are clipped together."""
+        return None
+
+    def learning_rates(self, final_share: float) -> dict[str, LearningRate]:
+        """The rate of each parameter group; `final_share` is that of the networks at the end."""
+        return {}
+
+    def weights(self, step: Any, hidden: float) -> Mapping[str, float]:
+        """Weights of the avatar's regularisers.
+
+        Args:
+            step: of fitting (`TrainingStep`).
+            hidden: share of the body that no frame shows.
+        """
+        return {}
+
+    def check(self, model: Any) -> None:
+        """Refuse settings of parts that an avatar does not have.
+
+        Raises:
+            ValueError: naming them.
+        """
+
+
+class DensifyParams(Params):
+    """Where Gaussians are added and taken away."""
+
+    start: Count
+    stop: Count
+    every: Count
+    gradient: Positive  # of the screen position, in half image widths
+    clone_below_m: Positive
+    prune_opacity: Fraction
+    prune_scale_m: Positive
+    max_growth: Positive  # times the first count
+
+
+class GaussianRates(Params):
+    """Learning rates of Gaussians."""
+
+    means: Positive
+    means_final: Positive  # log-linear over twice the run, as in the authors' code
+    features: Positive
+    opacities: Positive
+    scales: Positive
+    quats: Positive
+
+
+class SplatFitting(FittingParams):
+    """How an avatar of Gaussians is fitted."""
+
+    rates: GaussianRates
+    gaussians_start: Iteration
+    densify: DensifyParams
+
+    def learning_rates(self, final_share: float) -> dict[str, LearningRate]:
+        """Those of the Gaussians."""
+        rates = self.rates
+        return {
+            "means": LearningRate(rates.means, rates.means_final / rates.means, span=2.0),
+            "quats": LearningRate(rates.quats),
+            "scales": LearningRate(rates.scales),
+            "opacities": LearningRate(rates.opacities),
+            "features": LearningRate(rates.features),
+        }

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.bodies.posed_body import shaped_joints, shaped_vertices
 
+# Not parameters: networks are saved with these sizes and in this box.
 JOINT_FEATURES = 6  # of each joint's code (LEAP, Mihajlovic et al. 2021)
 JOINT_PADDING = 0.05  # of the body's extent around it when joints are normalised (3DGS-Avatar)
 

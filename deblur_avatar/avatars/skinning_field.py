@@ -15,7 +15,7 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.networks import ConditionedMLP
 from deblur_avatar.avatars.params import Precision
 
-NEIGHBOURS = 4  # surface vertices that a point off the surface takes its weights from
+NEIGHBOURS = 4  # surface vertices that a point takes its weights from; blended by nearness
 
 
 class SkinningField(nn.Module):

@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 
 AVATARS, PARAMS, UP = Path("avatars"), "params.yaml", "../.."
 BODY = "anny"
-DEFAULT_START = "paper"
+DEFAULT_AVATAR = "paper"
 ADDED_TO = ("warmups", "runs", "animations")  # sections that each method asked for grows
 HEADER = """\
 # One person's video. Change what you know better, then run the same command again; every key of
@@ -61,8 +61,8 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
         known = section_of(shared, root / PARAMS, f"{kind}s", dict)
         if key not in known:
             raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
-    starts = section_of(shared, root / PARAMS, "starts", dict)
-    start = method if method in starts else DEFAULT_START  # of methods that have none of their own
+    recipes = section_of(shared, root / PARAMS, "avatars", dict)
+    recipe = method if method in recipes else DEFAULT_AVATAR  # of methods without one of their own
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ConfigError(f"--name {name}: a name is small letters, digits and _, a letter first")
     folder = root / AVATARS / name
@@ -71,7 +71,7 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
     else:
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
-    content = _with_method(content, name, method, start) | {"schedule": schedule}
+    content = _with_method(content, name, method, recipe) | {"schedule": schedule}
     snapshots = section_of(shared, root / PARAMS, "snapshots", int)
     content = {"snapshots": snapshots} | content | {"from": _places(content)}
     folder.mkdir(parents=True, exist_ok=True)
@@ -184,9 +184,9 @@ def _same_file(known: str, video: Path) -> bool:
         return False
 
 
-def _with_method(content: dict[str, Any], name: str, method: str, start: str) -> dict[str, Any]:
+def _with_method(content: dict[str, Any], name: str, method: str, avatar: str) -> dict[str, Any]:
     """Add a run and its turntable; what is there stays."""
-    warmup = {"scene": name, "observations": "blurred", "start": start}
+    warmup = {"scene": name, "observations": "blurred", "avatar": avatar}
     animation = {
         "scene": name,
         "motion": "own",
@@ -209,7 +209,7 @@ def _with_method(content: dict[str, Any], name: str, method: str, start: str) ->
         }
         | content
         | {
-            "warmups": {f"{name}-blurred-{start}": warmup} | content["warmups"],
+            "warmups": {f"{name}-blurred-{avatar}": warmup} | content["warmups"],
             "runs": {run: warmup | {"method": method}} | content["runs"],
             "animations": {run: animation} | content["animations"],
         }
@@ -218,7 +218,7 @@ def _with_method(content: dict[str, Any], name: str, method: str, start: str) ->
 
 def _places(content: dict[str, Any]) -> dict[str, str]:
     """Where the pipeline finds what an avatar's folder does not make or say: at the root."""
-    sections = ("schedules", "starts", "methods", "check")
+    sections = ("schedules", "avatars", "methods", "check")
     return {
         "root": UP,
         "bodies": "data/body" if content["bodies"] else f"{UP}/data/body",

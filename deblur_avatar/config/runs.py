@@ -8,11 +8,11 @@ from deblur_avatar.config.section import (
 
 
 class WarmupParams(Params):
-    """A start on one scene's frames."""
+    """A first avatar on one scene's frames."""
 
     scene: str
     observations: Literal["exact", "sharp", "blurred", "deblurred"]
-    start: str
+    avatar: str
 
 
 class RunParams(Params):
@@ -20,5 +20,5 @@ class RunParams(Params):
 
     scene: str
     observations: Literal["exact", "sharp", "blurred", "deblurred"]
-    start: str
+    avatar: str
     method: str

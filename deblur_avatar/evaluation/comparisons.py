@@ -10,7 +10,8 @@ from torch import Tensor
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.evaluation.metrics import ImagePair, scores
 from deblur_avatar.evaluation.truth_views import TruthView
 from deblur_avatar.imaging.color import srgb_to_linear

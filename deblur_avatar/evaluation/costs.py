@@ -81,7 +81,7 @@ def with_seconds(curve: Mapping[str, Any], folder: Path, run: RunParams) -> dict
 
 def cost_file(folder: Path, stage: str, run: RunParams) -> Path:
     """What a stage measured with a clock for a run; its warm-up may be shared."""
-    warmup = f"{run.scene}-{run.observations}-{run.start}"
+    warmup = f"{run.scene}-{run.observations}-{run.avatar}"
     return folder / stage / f"{warmup if stage == 'warmup' else f'{run.scene}-{run.method}'}.json"
 
 

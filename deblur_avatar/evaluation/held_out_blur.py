@@ -14,7 +14,9 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.evaluation.reblur import poses_of_exposure
 from deblur_avatar.imaging.metrics import psnr
 
@@ -34,7 +36,7 @@ def reconstruct_held_out(
         Pictures by file name, and for each frame its entry in `views.json`: the names of its
         `render`, its `averaged` render and the `blurred` frame, and the PSNR of the latter two.
     """
-    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    model = avatar_from_artifact(avatar, observations.body, device)
     frames = observations.validation or observations.train
     frames = tuple(f for f in frames if observations.weights[f] > 0) or frames
     steps = torch.linspace(0, len(frames) - 1, min(max_frames, len(frames))).round().long().tolist()

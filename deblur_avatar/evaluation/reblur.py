@@ -15,7 +15,8 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,

@@ -15,7 +15,7 @@ import torch
 from pydantic import Field
 
 from deblur_avatar import run as stage
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
@@ -45,10 +45,13 @@ class PlyExport(Params):
                 f"export: frame {self.frame} of {count}; frames are counted from 0 to {count - 1}"
             )
         cameras = run.observations.cameras
-        model = AvatarModel.from_artifact(run.avatar, run.observations.body, torch.device("cpu"))
+        model = avatar_from_artifact(run.avatar, run.observations.body, torch.device("cpu"))
         pose = run.motion.centre.at([self.frame])
         viewmat = cameras.viewmats[run.observations.train_camera]
-        stage.write_bytes(path, ply_bytes(posed_gaussians(model, pose, viewmat)))
+        gaussians = posed_gaussians(model, pose, viewmat)
+        if gaussians is None:
+            raise ConfigError(f"export: an avatar of kind {model.kind} has no Gaussians to write")
+        stage.write_bytes(path, ply_bytes(gaussians))
 
 
 def ply_bytes(gaussians: PosedGaussians) -> bytes:

@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.splats import SplatAvatar
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_quat
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.rendering.covariances import whole_matrices
@@ -28,8 +29,8 @@ class PosedGaussians:
 
 def posed_gaussians(
     model: AvatarModel, pose: Poses, viewmat: Float[Tensor, "4 4"], frame: int = -1
-) -> PosedGaussians:
-    """Pose an avatar and take its Gaussians out; no gradients.
+) -> PosedGaussians | None:
+    """Pose an avatar and take its Gaussians out; no gradients. None of an avatar without any.
 
     Colours that depend on the view are those seen from one camera. An avatar that averages linear
     light gets each colour as sRGB, which other programs blend without turning it into light.
@@ -40,13 +41,16 @@ def posed_gaussians(
         viewmat: the camera, world to camera.
         frame: training position whose latent code the colours are of; -1 for the last.
     """
+    if not isinstance(model, SplatAvatar):
+        return None
     device = model.betas.device
     with torch.no_grad():
         rotations = axis_angle_to_matrix(pose.axis_angle).to(device)
         transforms = model.transforms(rotations, pose.transl.to(device))
-        state = model.condition(rotations[0], model.frames - 1 if frame < 0 else frame)
+        frame = model.frames - 1 if frame < 0 else frame
+        state = model.condition(rotations[0], frame, transforms[0], viewmat.to(device))
         means, covars = state.posed(transforms)
-        colors = model.colors(state, transforms[0], viewmat.to(device)).clamp(0, 1)
+        colors = state.colors.clamp(0, 1)
         quats, scales = axes_of(whole_matrices(covars[0]))
         return PosedGaussians(
             means=means[0].cpu(),

@@ -32,8 +32,29 @@ def expose(images: Float[Tensor, "S *image"], light: Light) -> Float[Tensor, "*i
         The blurred picture, sRGB in [0, 1].
     """
     if light == "srgb":
-        return images.mean(0)
-    return linear_to_srgb(srgb_to_linear(images).mean(0))
+        return mean_of_instants(images)
+    return linear_to_srgb(mean_of_instants(srgb_to_linear(images)))
+
+
+def mean_of_instants(images: Float[Tensor, "S *image"]) -> Float[Tensor, "*image"]:
+    """The whole model of blur: what a sensor gathers is the mean over the exposure's instants.
+
+    Images are in the space in which light is averaged; coverage is averaged alike. Renders that
+    the rasterizer has averaged already (`average=True`, the fused twin) are one instant here.
+    """
+    return images.mean(0)
+
+
+def with_instant(
+    mean: Float[Tensor, "*image"], instants: int, image: Float[Tensor, "*image"]
+) -> Float[Tensor, "*image"]:
+    """The mean of so many instants and of one more."""
+    return torch.lerp(mean, image, 1 / (instants + 1))
+
+
+def encode(image: Float[Tensor, "*image"], light: Light | str) -> Float[Tensor, "*image"]:
+    """Turn averaged light into sRGB values in [0, 1]."""
+    return linear_to_srgb(image.clamp(0, 1)) if light == "linear" else image.clamp(0, 1)
 
 
 def exposure_seconds(window: int, factor: int, fps: float) -> float:

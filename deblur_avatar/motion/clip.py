@@ -7,16 +7,18 @@ LEVER.
 
 import logging
 import math
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Float, Int64
+from pydantic import Field
 from torch import Tensor, nn
 
 from deblur_avatar.artifacts.motion import Motion, named_in_code
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.config.section import Count, NonNegative, Positive
+from deblur_avatar.bodies.posed_body import joints_from_rotations
+from deblur_avatar.config.section import Count, NonNegative, Params, Positive
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
@@ -34,8 +36,10 @@ from deblur_avatar.motion.knot_spacing import choose_spacing
 from deblur_avatar.motion.shutter_certainty import GUESS_STD, MAX_LOG_RATIO, shutter_std
 from deblur_avatar.motion.trajectory import (
     LEVER,
+    FittedMotionParams,
     Instants,
     MotionParams,
+    Priors,
     Quadrature,
     Render,
     Trajectory,
@@ -46,18 +50,52 @@ from deblur_avatar.motion.virtual_poses import farthest_travel
 logger = logging.getLogger(__name__)
 
 
-class ClipParams(MotionParams):
+class GivenShutter(Params):
+    """The clip says how long the shutter was open."""
+
+    kind: Literal["given"]
+
+
+class EstimatedShutter(Params):
+    """How long the shutter was open is an unknown, near what the clip says."""
+
+    kind: Literal["estimated"]
+    rate: Positive  # learning rate: share of itself a step
+    weight: NonNegative  # of the squared logarithm of its ratio to what the clip says
+
+
+class ClipPriors(Params):
+    """Weights of what holds the trajectory near the given poses."""
+
+    anchor: NonNegative  # knots stay near the first estimate
+    depth: NonNegative  # so do joints' distances from the camera, where depth is known
+
+
+class ClipParams(FittedMotionParams):
     """One trajectory for the whole clip."""
 
     kind: Literal["clip"]
     virtual_poses: Count  # at most, where `pixels_per_pose` says how many
     pixels_per_pose: NonNegative  # farthest travel in the picture per virtual pose; 0: always all
-    shutter: Literal["given", "estimated"]  # how long it was open
+    shutter: Annotated[GivenShutter | EstimatedShutter, Field(discriminator="kind")]
     quadrature: Quadrature  # of the instants that are saved; fitting takes midpoints
     knot_frames: Positive  # frames between two knots of the trajectory, at most
     finest_knot_frames: Positive  # and at least, where given poses ask for finer knots
     finer_knots_gain: NonNegative  # radians by which these must predict held-back poses better
     smoothness: NonNegative  # of the first trajectory, against closeness to the given poses
+    priors: ClipPriors
+
+    def learning_rates(self) -> dict[str, float]:
+        """Those of the knots, and of a shutter that is estimated."""
+        rates = super().learning_rates()
+        shutter = self.shutter
+        return rates | ({"shutter": shutter.rate} if shutter.kind == "estimated" else {})
+
+    def weights(self) -> dict[str, float]:
+        """Weights of its priors."""
+        weights = self.priors.model_dump()
+        shutter = self.shutter
+        return weights | ({"shutter": shutter.weight} if shutter.kind == "estimated" else {})
 
 
 class ClipMotion(Trajectory):
@@ -92,6 +130,7 @@ class ClipMotion(Trajectory):
         """Take knots, and how long the shutter was open, in units of the knots' spacing."""
         super().__init__()
         self._pixels_per_pose = 0.0
+        self._initial_depths: dict[int, Tensor] = {}  # by frame
         self.register_buffer("u", u, persistent=False)
         self.register_buffer("middles", middles)
         self.register_buffer("guess", guess)
@@ -129,7 +168,7 @@ class ClipMotion(Trajectory):
         motion = cls.near(
             observations.poses, instants(params.virtual_poses, params.quadrature),
             observations.timestamps, observations.exposure, spacing, params.smoothness,
-            estimate_shutter=params.shutter == "estimated",
+            estimate_shutter=params.shutter.kind == "estimated",
         )  # fmt: skip
         motion._pixels_per_pose = params.pixels_per_pose
         return motion
@@ -270,19 +309,46 @@ class ClipMotion(Trajectory):
             "shutter": [("log_shutter", self.log_shutter)],
         }
 
-    def priors(self) -> dict[str, Float[Tensor, ""]]:
+    def priors(self, frame: int, instants: Instants, observations: Observations) -> Priors:
         """Penalties for leaving the first estimate, and for another shutter than guessed.
 
         `anchor` is the mean squared distance of the knots from the first ones, in radians of a
-        joint's turn; `shutter` is the squared logarithm of its ratio to the guess.
+        joint's turn; `depth` is that of the joints' depths at the middle of this exposure, where
+        other cameras have told them; `shutter` is the squared logarithm of its ratio to the guess.
         """
+        priors: Priors = {"anchor": self._anchor}
+        if self.log_shutter.requires_grad:
+            priors["shutter"] = self.log_shutter.square
+        if observations.depth_known:
+            priors["depth"] = lambda: self._depth(frame, instants, observations)
+        return priors
+
+    def _anchor(self) -> Float[Tensor, ""]:
         quats = axis_angle_to_quat(self.axis_angle)
         initial = axis_angle_to_quat(self.initial_axis_angle)
-        return {
-            "anchor": _size(quat_to_axis_angle(quat_multiply(quat_conjugate(initial), quats)))
-            + _size((self.transl - self.initial_transl) / LEVER),
-            "shutter": self.log_shutter.square(),
-        }
+        return _size(quat_to_axis_angle(quat_multiply(quat_conjugate(initial), quats))) + _size(
+            (self.transl - self.initial_transl) / LEVER
+        )
+
+    def _depth(
+        self, frame: int, instants: Instants, observations: Observations
+    ) -> Float[Tensor, ""]:
+        if frame not in self._initial_depths:
+            with torch.no_grad():
+                self._initial_depths[frame] = _depths(self.initial(frame), observations)
+        # Steps towards the camera, in radians of a joint's turn.
+        shift = (_depths(instants, observations) - self._initial_depths[frame]) / LEVER
+        return shift.square().mean()
+
+
+def _depths(instants: Instants, observations: Observations) -> Float[Tensor, " J"]:
+    """How far the joints are from the camera at the middle of an exposure, metres."""
+    transl = instants.centre_transl
+    places = joints_from_rotations(
+        observations.body, observations.poses.betas.to(transl), instants.centre_rotations, transl
+    )
+    viewmat = observations.camera.viewmat.to(transl)
+    return places @ viewmat[2, :3] + viewmat[2, 3]
 
 
 def _size(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, ""]:

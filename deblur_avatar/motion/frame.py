@@ -10,10 +10,15 @@ from deblur_avatar.artifacts.motion import Motion, named_in_code
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.geometry.rotations import axis_angle_to_quat
-from deblur_avatar.motion.trajectory import Instants, MotionParams, Trajectory
+from deblur_avatar.motion.trajectory import (
+    FittedMotionParams,
+    Instants,
+    MotionParams,
+    Trajectory,
+)
 
 
-class FrameParams(MotionParams):
+class FrameParams(FittedMotionParams):
     """Every frame's pose is an unknown."""
 
     kind: Literal["frame"]

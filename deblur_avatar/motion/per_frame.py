@@ -10,10 +10,15 @@ from deblur_avatar.artifacts.motion import Motion, named_in_code
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.config.section import Count, NonNegative
-from deblur_avatar.motion.trajectory import MotionParams, Quadrature, Trajectory, instants
+from deblur_avatar.motion.trajectory import (
+    FittedMotionParams,
+    Quadrature,
+    Trajectory,
+    instants,
+)
 
 
-class PerFrameParams(MotionParams):
+class PerFrameParams(FittedMotionParams):
     """What such trajectories have in common."""
 
     virtual_poses: Count

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from deblur_avatar.artifacts.motion import Motion, named_on_disk
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.config.section import Params
+from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.geometry.rotations import quat_to_axis_angle, quat_to_matrix
 
 # Metres that a joint's turn of one radian moves what hangs on it, roughly. Not a parameter: it is
@@ -30,10 +30,40 @@ Quadrature = Literal["endpoints", "midpoints"]
 Render = Callable[[int, "Instants"], Tensor]
 
 
+# What is known of a motion beforehand: penalties by the names of their weights, each computed when
+# it is called.
+Priors = dict[str, Callable[[], Tensor]]
+
+
 class MotionParams(Params):
     """Parameters of one kind of trajectory; each kind adds its own, beside its class."""
 
     kind: str
+
+    def learning_rates(self) -> dict[str, float]:
+        """The rate of each of its parameter groups; none of a motion that is no unknown."""
+        return {}
+
+    def weights(self) -> dict[str, float]:
+        """Weights of its priors."""
+        return {}
+
+
+class MotionRates(Params):
+    """Learning rates of a motion's unknowns."""
+
+    poses: Positive  # radians a step
+    transl: Positive  # metres a step
+
+
+class FittedMotionParams(MotionParams):
+    """Parameters of a trajectory that has unknowns."""
+
+    rates: MotionRates
+
+    def learning_rates(self) -> dict[str, float]:
+        """Those of rotations and of translations."""
+        return self.rates.model_dump()
 
 
 @dataclass(frozen=True)
@@ -95,7 +125,7 @@ class Trajectory(nn.Module, ABC):
 
     @abstractmethod
     def parameter_groups(self) -> dict[str, list[tuple[str, Tensor]]]:
-        """Parameters by the learning rate they take: `poses`, `transl` or `shutter`, with names.
+        """Parameters by the learning rate they take (`MotionParams.learning_rates`), with names.
 
         Those that are no unknowns do not require a gradient.
         """
@@ -104,13 +134,15 @@ class Trajectory(nn.Module, ABC):
         """The poses of one exposure at the instants that fitting takes."""
         return self.at(frame, self.u)
 
-    def priors(self) -> dict[str, Float[Tensor, ""]]:
-        """What is known of such motion beforehand: penalties by the names of their weights."""
-        return {}
+    def priors(self, frame: int, instants: Instants, observations: Observations) -> Priors:
+        """What is known of such motion beforehand, by names that its parameters' `weights` know.
 
-    def initial(self, frame: int) -> Instants | None:
-        """The middle of one exposure as it was before fitting, where that is remembered."""
-        return None
+        Args:
+            frame: that is fitted in this step.
+            instants: of it.
+            observations: what the camera saw, and what is known of it.
+        """
+        return {}
 
     def num_samples(self, frames: int) -> Int64[Tensor, " F"]:
         """How many instants fitting takes of each exposure."""

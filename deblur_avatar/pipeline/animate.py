@@ -18,7 +18,7 @@ from deblur_avatar.animation.showing import Progress, plan_shot, render_shot
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import expand_environment
 from deblur_avatar.config.section import (
     Fraction,
@@ -92,7 +92,7 @@ def animate(
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from None
     logger.info("%d frames of %s at %g a second", len(shot.poses.transl), params.motion, params.fps)
-    return render_shot(AvatarModel.from_artifact(avatar, observations.body, device), shot, progress)
+    return render_shot(avatar_from_artifact(avatar, observations.body, device), shot, progress)
 
 
 def _motion(

@@ -20,8 +20,10 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.half_precision import as_computed
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
@@ -62,7 +64,7 @@ def evaluate(
     Raises:
         ArtifactError: if there are test views, but none can be compared.
     """
-    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    model = avatar_from_artifact(avatar, observations.body, device)
     views = truth_views(observations, reference)
     true = _true_poses(observations, reference)
     held_out = observations.poses if true is None else true
@@ -87,7 +89,7 @@ def evaluate(
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
     fps = _render_fps(model, observations, motion)
-    return Evaluation(content, comparisons, fps, as_computed(model.params.precision, device))
+    return Evaluation(content, comparisons, fps, as_computed(model.precision, device))
 
 
 def _true_poses(observations: Observations, reference: Reference) -> Poses | None:
@@ -142,7 +144,9 @@ def _size(avatar: Avatar, motion: Motion, train: Sequence[int]) -> dict[str, Any
         avatar.means, avatar.quats, avatar.log_scales, avatar.opacity_logits, avatar.features,
     )  # fmt: skip
     tensors = [*gaussians, *avatar.networks.values()]
-    parts = [name for name, part in avatar.model["params"].items() if part is not None]
+    made_of = avatar.model["params"]
+    parts = [name for name, part in made_of.items() if part is not None and name != "kind"]
+    parts = [f"avatar:{made_of['kind']}", *parts] if "kind" in made_of else parts
     return {
         "gaussians": len(avatar.means),
         "parameters": sum(tensor.numel() for tensor in tensors),

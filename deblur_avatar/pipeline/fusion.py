@@ -9,14 +9,16 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.section import Params
 from deblur_avatar.motion.kinds import trajectory_from_artifact
+from deblur_avatar.motion.trajectory import MotionParams
 from deblur_avatar.training.fusion_network import FusionNetwork, FusionNetworkParams
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import FitParams, RecipeParams
 from deblur_avatar.training.resume import RunFolder
 from deblur_avatar.training.schedule import ScheduleParams
-from deblur_avatar.training.supervision import Mask
+from deblur_avatar.training.supervision import MaskName
 from deblur_avatar.training.trainer import AvatarFit, Report
 
 
@@ -24,14 +26,14 @@ class UnfusedParams(Params):
     """One render is compared with the frame, as in the stage before."""
 
     supervision: Literal["sharp", "mean"]
-    mask: Mask
+    mask: MaskName
 
 
 class FusedParams(Params):
     """A network blends the sharp and the averaged render."""
 
     supervision: Literal["fused", "released"]
-    mask: Mask
+    mask: MaskName
     network: FusionNetworkParams
 
 
@@ -44,7 +46,8 @@ def fuse(
     avatar: Avatar,
     motion: Motion,
     checkpoint: Checkpoint,
-    start: StartParams,
+    recipe: RecipeParams,
+    motion_params: MotionParams,
     params: FusionParams,
     schedule: ScheduleParams,
     *,
@@ -58,11 +61,14 @@ def fuse(
     Returns:
         The avatar, its motion, and what it cost.
     """
-    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    model = avatar_from_artifact(avatar, observations.body, device)
     trajectory = trajectory_from_artifact(motion).to(device)
-    network = new_network(params, start, model, len(observations.frames))
+    network = new_network(params, model, len(observations.frames))
     network = None if network is None else network.to(device)
-    fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator, network)
+    fitted = FitParams(
+        recipe=recipe, motion=motion_params, schedule=schedule, fusion=network_params(params)
+    )
+    fit = AvatarFit(model, trajectory, observations, fitted, device, generator, network)
     fit.restore(checkpoint)
     seconds = fit.run(
         schedule.trajectory + 1, schedule.fusion, params.supervision, params.mask, report, folder
@@ -72,15 +78,17 @@ def fuse(
     return model.to_artifact(schedule.fusion), refined, cost
 
 
-def new_network(
-    params: FusionParams, start: StartParams, model: AvatarModel, frames: int
-) -> FusionNetwork | None:
+def network_params(params: FusionParams) -> FusionNetworkParams | None:
+    """Those of the network that blends renders, where they are blended."""
+    return None if isinstance(params, UnfusedParams) else params.network
+
+
+def new_network(params: FusionParams, model: AvatarModel, frames: int) -> FusionNetwork | None:
     """The network that blends renders, where they are blended."""
-    if isinstance(params, UnfusedParams):
+    sizes = network_params(params)
+    if sizes is None:
         return None
-    sizes = params.network
-    posed = sizes.pose and start.model.nonrigid is not None
     return FusionNetwork(
-        model.pose_encoder.size if posed else 0, frames,
+        model.pose_code_size if sizes.pose else 0, frames,
         sizes.frame_codes, sizes.color_features, sizes.hidden, sizes.precision,
     )  # fmt: skip

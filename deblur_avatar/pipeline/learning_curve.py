@@ -16,7 +16,7 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.evaluation.comparisons import compare, mean_scores
 from deblur_avatar.evaluation.metrics import recovered_metrics
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
@@ -88,7 +88,7 @@ def _scored(
     device: torch.device,
 ) -> dict[str, Any]:
     avatar, motion = Avatar.load(moment.folder / "avatar"), Motion.load(moment.folder / "motion")
-    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    model = avatar_from_artifact(avatar, observations.body, device)
     scores = mean_scores(
         [compare(model, observations, reference, view, motion.centre) for view in views]
     )

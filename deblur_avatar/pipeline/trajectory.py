@@ -11,14 +11,16 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.config.section import Params
 from deblur_avatar.motion.kinds import KINDS, AnyMotionParams
 from deblur_avatar.motion.trajectory import Instants, MotionParams, Render, Trajectory
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import FitParams, RecipeParams
 from deblur_avatar.training.resume import RunFolder
 from deblur_avatar.training.schedule import ScheduleParams
-from deblur_avatar.training.supervision import Mask
+from deblur_avatar.training.supervision import MaskName
 from deblur_avatar.training.trainer import AvatarFit, Report
 
 
@@ -27,14 +29,14 @@ class TrajectoryParams(Params):
 
     motion: AnyMotionParams
     supervision: Literal["sharp", "mean", "released"]
-    mask: Mask
+    mask: MaskName
 
 
 def fit_trajectory(
     observations: Observations,
     avatar: Avatar,
     checkpoint: Checkpoint,
-    start: StartParams,
+    recipe: RecipeParams,
     params: TrajectoryParams,
     schedule: ScheduleParams,
     *,
@@ -46,16 +48,17 @@ def fit_trajectory(
     """Fit renders averaged over the exposure (or sharp ones, by `params`) to the frames.
 
     Returns:
-        The avatar, its motion, its optimisers' memory, and what it cost; with what the trajectory
+        The avatar, its motion, its optimizers' memory, and what it cost; with what the trajectory
         says of itself, as of an estimated shutter.
 
     Raises:
         ConfigError: if the clip lacks what this kind of trajectory needs to know.
     """
-    model = AvatarModel.from_artifact(avatar, observations.body, device)
+    model = avatar_from_artifact(avatar, observations.body, device)
     trajectory = new_trajectory(observations, params.motion, generator).to(device)
     trajectory.choose_samples(observations)
-    fit = AvatarFit(model, trajectory, observations, start, schedule, device, generator)
+    fitted = FitParams(recipe=recipe, motion=params.motion, schedule=schedule)
+    fit = AvatarFit(model, trajectory, observations, fitted, device, generator)
     fit.restore(checkpoint)
     half = (schedule.warmup + schedule.trajectory) // 2
 

@@ -8,9 +8,9 @@ import torch
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.avatars.model import AvatarModel
-from deblur_avatar.motion.frame import FixedMotion
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.avatars.kinds import AVATARS
+from deblur_avatar.motion.frame import FixedMotion, FixedParams
+from deblur_avatar.training.params import FitParams, RecipeParams
 from deblur_avatar.training.resume import RunFolder
 from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit, Report
@@ -18,7 +18,7 @@ from deblur_avatar.training.trainer import AvatarFit, Report
 
 def warm_up(
     observations: Observations,
-    params: StartParams,
+    recipe: RecipeParams,
     schedule: ScheduleParams,
     *,
     device: torch.device,
@@ -31,20 +31,21 @@ def warm_up(
     With a `folder` it goes on where an earlier run of the same was stopped.
 
     Returns:
-        The avatar, its optimisers' memory, and what it cost.
+        The avatar, its optimizers' memory, and what it cost.
     """
     begin = time.perf_counter()
     betas = observations.poses.betas.to(device)
-    model = AvatarModel.create(
-        params.model, observations.body, betas, len(observations.frames), schedule.gaussians,
+    avatar = AVATARS[recipe.model.kind].create(
+        recipe.model, observations.body, betas, len(observations.frames), schedule.gaussians,
         observations.light, generator,
     ).to(device)  # fmt: skip
     trajectory = FixedMotion(observations.poses).to(device)
-    fit = AvatarFit(model, trajectory, observations, params, schedule, device, generator)
+    params = FitParams(recipe=recipe, motion=FixedParams(kind="fixed"), schedule=schedule)
+    fit = AvatarFit(avatar, trajectory, observations, params, device, generator)
     begun = folder is not None and folder.progress is not None
-    if params.model.skinning is not None and not begun:
-        fit.pretrain_skinning(params.model.skinning.pretrain)
+    if not begun:
+        avatar.pretrain(generator)
     spent = time.perf_counter() - begin
     seconds = fit.run(1, schedule.warmup, "sharp", "mean", report, folder, spent)
     cost = fit.cost(seconds)
-    return model.to_artifact(schedule.warmup), fit.checkpoint(schedule.warmup), cost
+    return avatar.to_artifact(schedule.warmup), fit.checkpoint(schedule.warmup), cost

@@ -18,6 +18,11 @@ class ScreenStatistics:
         self._absgrad: Tensor | None = None
 
     @property
+    def filled(self) -> bool:
+        """Whether a backward pass has run through the rasterization."""
+        return self._grad is not None
+
+    @property
     def means2d_grad(self) -> Float[Tensor, "B N 2"]:
         """Gradient of the loss with respect to the projected centres, per pixel of shift.
 

@@ -15,7 +15,8 @@ from deblur_avatar.animation.placement import framed_intrinsics, place
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
 from deblur_avatar.evaluation.held_out_blur import reconstruct_held_out
@@ -131,7 +132,7 @@ def turntable(avatar: Avatar, observations: Observations, device: torch.device) 
     size = TURNTABLE_SIZE
     K = framed_intrinsics(points, observations.cameras.Ks[camera], viewmat, size, MARGIN)
     images, _ = render_avatar(
-        AvatarModel.from_artifact(avatar, body, device), poses, Camera(K, viewmat, size, size),
+        avatar_from_artifact(avatar, body, device), poses, Camera(K, viewmat, size, size),
         frame=max(observations.train),
     )  # fmt: skip
     codes = (images.cpu() * 255).round().to(torch.uint8).numpy()

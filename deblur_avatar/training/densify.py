@@ -12,10 +12,11 @@ from torch import Tensor
 from torch.optim import Optimizer
 
 from deblur_avatar.avatars.gaussians import Gaussians
+from deblur_avatar.avatars.params import DensifyParams
 from deblur_avatar.geometry.rotations import quat_to_matrix
-from deblur_avatar.training.params import DensifyParams
 
-SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are (Kerbl et al. 2023)
+# Not a parameter: 3DGS's (Kerbl et al. 2023); which are split, DensifyParams' thresholds say.
+SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are
 
 
 class Densifier:
@@ -42,7 +43,7 @@ class Densifier:
     def edit(
         self,
         gaussians: Gaussians,
-        optimiser: Optimizer,
+        optimizer: Optimizer,
         params: DensifyParams,
         generator: torch.Generator,
     ) -> None:
@@ -50,14 +51,14 @@ class Densifier:
         grad_accum = self.grad_accum / self.count.clamp(min=1)
         with torch.no_grad():
             largest = gaussians.scales.amax(1)
-            room = int(params.most * self._first_count) - len(gaussians)
+            room = int(params.max_growth * self._first_count) - len(gaussians)
             pulled = _strongest(grad_accum, params.gradient, max(room, 0))
             clone = pulled & (largest <= params.clone_below_m)
             split = pulled & ~clone
             faint = gaussians.opacities < params.prune_opacity
             keep = ~(split | faint | (largest > params.prune_scale_m))
             added = [_cloned(gaussians, clone), *_halves(gaussians, split, generator)]
-        replace_gaussians(gaussians, optimiser, keep, added)
+        replace_gaussians(gaussians, optimizer, keep, added)
         self.grad_accum = torch.zeros(len(gaussians), device=self.grad_accum.device)
         self.count = torch.zeros_like(self.grad_accum)
 
@@ -75,24 +76,21 @@ class Densifier:
 
 def replace_gaussians(
     gaussians: Gaussians,
-    optimiser: Optimizer,
+    optimizer: Optimizer,
     keep: Tensor,
     added: list[dict[str, Tensor]],
 ) -> None:
-    """Keep some Gaussians, add others; the optimiser's memory follows (new ones have none)."""
-    for group in optimiser.param_groups:
-        name = group["name"]
-        if name not in dict(gaussians.named_parameters()):
-            continue
-        old = group["params"][0]
+    """Keep some Gaussians, add others; the optimizer's memory follows (new ones have none)."""
+    for group in optimizer.param_groups:
+        (name,), (old,) = group["names"], group["params"]
         new = [part[name] for part in added]
         fresh = torch.nn.Parameter(torch.cat([old.data[keep], *new]))
-        memory = optimiser.state.pop(old, {})
+        memory = optimizer.state.pop(old, {})
         for key, value in memory.items():
             if value.shape == old.shape:
                 grown = [torch.zeros_like(part) for part in new]
                 memory[key] = torch.cat([value[keep], *grown])
-        optimiser.state[fresh] = memory
+        optimizer.state[fresh] = memory
         group["params"] = [fresh]
         setattr(gaussians, name, fresh)
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from deblur_avatar.imaging.color import srgb_to_linear
 from deblur_avatar.training.targets import Target
 
+# Not parameters: a gain settles in five visits, and no camera drifts by more.
 BLEND = 0.5  # of what a visit finds with what was known
 MAX_VALUE = 1.4  # of a gain's logarithm: two stops
 

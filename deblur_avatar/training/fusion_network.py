@@ -13,10 +13,12 @@ from torch import Tensor, nn
 
 from deblur_avatar.avatars.networks import ConditionedMLP
 from deblur_avatar.avatars.params import Precision
-from deblur_avatar.config.section import Count, Params
+from deblur_avatar.config.section import Count, Params, Positive
 
-TOGETHER = 512  # rows of pixels are filled up to a multiple of it
-FREQUENCIES = 4  # of the position code: sine and cosine of rows and of columns, 16 numbers
+TOGETHER = 512  # rows of pixels are filled up to a multiple of it; changes no result
+FREQUENCIES = (
+    4  # the authors': of the position code: sine and cosine of rows and of columns, 16 numbers
+)
 
 
 class FusionNetworkParams(Params):
@@ -27,6 +29,7 @@ class FusionNetworkParams(Params):
     frame_codes: Count
     color_features: Count
     pose: bool  # whether it sees the pose's code (of avatars that have one)
+    rate: Positive  # learning rate
 
 
 class FusionNetwork(nn.Module):

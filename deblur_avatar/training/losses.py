@@ -1,18 +1,50 @@
-"""The terms of the objective, each a number that is 0 when nothing is wrong.
+"""Losses of pictures: how far renders are from a frame, 0 when nothing is wrong.
+
+`LOSSES` is the table: a row says what of a picture a loss sees and how it compares two. Its weight
+has the row's name in the section `losses` of a recipe. What an avatar or a trajectory is held to
+for itself are their `regularisers` and `priors`.
 
 Conventions. Images are sRGB in [0, 1]; means run over all pixels and channels, so weights do not
 depend on the resolution.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.imaging.lpips import SMALLEST_SIDE, Lpips
+from deblur_avatar.imaging.lpips import SMALLEST_SIDE, configured_lpips
 
+# Not parameters: they define what the loss is, and its weight was chosen with them.
 STRUCTURE_SCALES = 3  # each half as fine as the one before
 WINDOW = 7  # pixels, of `dissimilarity`
-K1, K2 = 0.01, 0.03  # its stabilisers
+K1, K2 = 0.01, 0.03  # its stabilisers (Wang et al. 2004)
+
+Comparison = Callable[[Tensor, Tensor], Float[Tensor, ""]]
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One row: how two pictures are compared, and where.
+
+    region: the `picture`, the person's `box` in it, or the `coverage` (alpha with the matte).
+    on: makes the comparison for a device; None where this machine lacks what it takes.
+    substitute_for: the loss in whose absence this one counts, where they see the same.
+    name_in_records: what the losses' sight of structure is called in a run's measurements.
+    """
+
+    region: Literal["picture", "box", "coverage"]
+    on: Callable[[torch.device], Comparison | None]
+    substitute_for: str | None = None
+    name_in_records: str | None = None
+
+
+def everywhere(compare: Comparison) -> Callable[[torch.device], Comparison]:
+    """A comparison that needs nothing, on any device."""
+    return lambda device: compare
 
 
 def photometric(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
@@ -20,18 +52,13 @@ def photometric(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -
     return (image - target).abs().mean()
 
 
-def structure(
-    image: Float[Tensor, "H W 3"],
-    target: Float[Tensor, "H W 3"],
-    box: tuple[int, int, int, int],
-) -> Float[Tensor, ""]:
-    """Mean absolute difference of neighbouring pixels' differences, at three scales, in a box.
+def structure(image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
+    """Mean absolute difference of neighbouring pixels' differences, at three scales.
 
-    The stand-in for LPIPS on the mask's box, whose network's weights cannot be shipped: it sees
-    edges where `photometric` sees levels. Box: left, top, right, bottom; pixels.
+    The stand-in for LPIPS, whose network's weights cannot be shipped: it sees edges where
+    `photometric` sees levels.
     """
-    left, top, right, bottom = box
-    apart = (image - target)[top:bottom, left:right].permute(2, 0, 1)[None]
+    apart = (image - target).permute(2, 0, 1)[None]
     total = image.new_zeros(())
     for _ in range(STRUCTURE_SCALES):
         if min(apart.shape[-2:]) < 2:
@@ -42,16 +69,13 @@ def structure(
 
 
 def dissimilarity(
-    image: Float[Tensor, "H W 3"],
-    target: Float[Tensor, "H W 3"],
-    box: tuple[int, int, int, int],
+    image: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]
 ) -> Float[Tensor, ""]:
-    """Half of 1 - SSIM at three scales, in a box; range 1, even windows of 7 pixels.
+    """Half of 1 - SSIM at three scales; range 1, even windows of 7 pixels.
 
     Source: Wang et al., IEEE TIP 2004; another stand-in for LPIPS.
     """
-    left, top, right, bottom = box
-    pair = [p[top:bottom, left:right].permute(2, 0, 1)[None] for p in (image, target)]
+    pair = [p.permute(2, 0, 1)[None] for p in (image, target)]
     total = image.new_zeros(())
     for _ in range(STRUCTURE_SCALES):
         if min(pair[0].shape[-2:]) < WINDOW:
@@ -68,21 +92,22 @@ def dissimilarity(
     return total / STRUCTURE_SCALES
 
 
-def perceptual(
-    lpips: Lpips,
-    image: Float[Tensor, "H W 3"],
-    target: Float[Tensor, "H W 3"],
-    box: tuple[int, int, int, int],
-) -> Float[Tensor, ""]:
-    """LPIPS of a box, whose pixels the network takes in [-1, 1].
+def perceptual(device: torch.device) -> Comparison | None:
+    """LPIPS, where its weights are given; 0 of a side of under `SMALLEST_SIDE`.
 
-    0 of a box with a side of under `SMALLEST_SIDE`, of which the network sees nothing.
+    Source: Zhang et al., CVPR 2018.
     """
-    left, top, right, bottom = box
-    if min(right - left, bottom - top) < SMALLEST_SIDE:
-        return image.new_zeros(())
-    cut = (slice(top, bottom), slice(left, right))
-    return lpips(image[cut][None], target[cut][None])[0]
+    network = configured_lpips()
+    if network is None:
+        return None
+    lpips = network.to(device)
+
+    def compare(image: Tensor, target: Tensor) -> Tensor:
+        if min(image.shape[:2]) < SMALLEST_SIDE:
+            return image.new_zeros(())
+        return lpips(image[None], target[None])[0]
+
+    return compare
 
 
 def coverage(alpha: Float[Tensor, "H W"], matte: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
@@ -90,26 +115,12 @@ def coverage(alpha: Float[Tensor, "H W"], matte: Float[Tensor, "H W"]) -> Float[
     return (alpha - matte).abs().mean()
 
 
-def skinning(
-    weights: Float[Tensor, "P J"], body_weights: Float[Tensor, "P J"]
-) -> Float[Tensor, ""]:
-    """Squared distance of learned blend weights from the body's own, on the body's surface.
-
-    Source: 3DGS-Avatar, L_skin.
-    """
-    return (weights - body_weights).square().sum(1).mean()
-
-
-def unevenness(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Float[Tensor, ""]:
-    """Mean absolute difference between a Gaussian's values and its neighbours'.
-
-    Where the camera sees a Gaussian the picture outweighs this; where it does not, values become
-    those of the nearest that it does see. Absolute, so that an edge costs no more than a slope.
-    """
-    return _apart(values, neighbours).abs().mean()
-
-
-def _apart(values: Float[Tensor, "N D"], neighbours: Int64[Tensor, "N K"]) -> Tensor:
-    """Neighbours' values minus one's own, [D, K, N]: rows without strides, five times as fast."""
-    rows, near = values.T.contiguous(), neighbours.T.contiguous()
-    return rows.index_select(1, near.flatten()).unflatten(1, near.shape) - rows[:, None]
+LOSSES: dict[str, Loss] = {
+    "l1": Loss("picture", everywhere(photometric)),
+    "lpips": Loss("box", perceptual, name_in_records="lpips_vgg"),
+    "structure": Loss(
+        "box", everywhere(structure), substitute_for="lpips", name_in_records="edges"
+    ),
+    "dissimilarity": Loss("box", everywhere(dissimilarity)),
+    "mask": Loss("coverage", everywhere(coverage)),
+}

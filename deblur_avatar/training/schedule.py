@@ -10,6 +10,8 @@ from deblur_avatar.config.section import (
 )
 from deblur_avatar.errors import ConfigError
 
+PAPER_ITERATIONS = 15_000  # arXiv 2501.13335, sec. IV-A
+
 
 class ScheduleParams(Params):
     """How much work a run is: when each stage ends, how large avatar and pictures are."""
@@ -19,6 +21,11 @@ class ScheduleParams(Params):
     fusion: Count
     gaussians: Count
     image_height: Annotated[int, Field(ge=8)]  # pixels
+
+    @property
+    def scale(self) -> float:
+        """Iterations of this schedule for one of the paper's."""
+        return self.fusion / PAPER_ITERATIONS
 
     def halvings(self, count: int) -> frozenset[int]:
         """Iterations at 1/2, 1/4, 1/8 ... of a run, and at its stages' ends; none for a count of 0.

@@ -1,44 +1,187 @@
-"""Which renders of an exposure are compared with its frame, and with what weight.
+"""Which renders of an exposure are compared with its frame, and which coverage with its matte.
 
-Conventions. C is the sharp render, B the mean over the virtual instants, F their blend by the
-fusion network. Iterations are the paper's 15,000. A supervision is named by what it compares; the
-authors' released code compares several at once and changes its mind on the way.
+Two tables by the names in `params.yaml`: `SUPERVISIONS` and `MASKS`. The authors' released code
+compares several renders at once and changes its mind on the way.
+
+Conventions. C is the sharp render at the middle, B the mean over the virtual instants, F their
+blend by the fusion network. Iterations are the paper's 15,000.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, Literal
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.avatars.avatar import Rendering
 from deblur_avatar.geometry.rotations import (
     quat_conjugate,
     quat_multiply,
     quat_to_axis_angle,
 )
+from deblur_avatar.imaging.exposure import mean_of_instants, with_instant
 from deblur_avatar.motion.trajectory import Trajectory
 
-Mask = Literal["mean", "union", "centre"]  # which coverage is compared with the matte
-RELEASED: Final = "released"
-STILL_SHARE: Final = 0.1  # of the frames count as still, those that turn least (released code)
+MaskName = Literal["mean", "union", "centre"]  # of `MASKS`
+Compared = list[tuple[float, Float[Tensor, "H W 3"]]]  # with their shares
+# From the render that the network looks at to the averaged one's share in each pixel.
+Blend = Callable[[Float[Tensor, "H W 3"]], Float[Tensor, "H W 1"]]
+
+# Of the released code's schedule; not parameters: it is reproduced as it is.
+STILL_SHARE: Final = 0.1  # of the frames count as still, those that turn least
 MOVING_WEIGHT: Final = 0.1  # of C in frames that move
 BOTH_UNTIL: Final = 5000  # B is compared too
 
 
-def shares(supervision: str, iteration: float, still: bool, blended: bool) -> dict[str, float]:
-    """Weights of the renders: sharp (C), mean (B), fused (F).
+@dataclass(frozen=True)
+class Exposure:
+    """The renders of one exposure.
 
-    Args:
-        supervision: by name.
-        iteration: of the paper's 15,000.
-        still: whether the frame counts as still.
-        blended: whether there is a fusion network: in the last stage, from iteration 7,000.
-
-    Source: the released code's schedule of losses (xianrui-luo/deblur_avatar, train.py). After
-    5,000 iterations its B is compared no more, and after 7,000 it is part of F without gradient.
+    instants: all of them, or their mean; the middle alone where nothing else is compared.
+    sharp: at the middle, where it was drawn apart.
     """
-    if supervision != RELEASED:
-        return {supervision: 1.0}
-    if iteration < BOTH_UNTIL:
-        return {"sharp": 1.0, "mean": 1.0}
-    weights = {"sharp": 1.0 if still else MOVING_WEIGHT}
-    return weights | ({"fused": 1.0} if blended else {})
+
+    instants: Rendering
+    sharp: Rendering | None
+
+    @property
+    def middle(self) -> Rendering:
+        """At the middle of the exposure."""
+        return self.instants if self.sharp is None else self.sharp
+
+    @property
+    def mean(self) -> Float[Tensor, "H W 3"]:
+        """B."""
+        return mean_of_instants(self.instants.image)
+
+    @property
+    def alpha(self) -> Float[Tensor, "H W"]:
+        """Mean coverage."""
+        return mean_of_instants(self.instants.alpha)
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """One render is compared from beginning to end: C, B or F."""
+
+    render: Literal["sharp", "mean", "fused"]
+
+    @property
+    def averages(self) -> bool:
+        """Whether instants other than the middle are drawn."""
+        return self.render != "sharp"
+
+    @property
+    def needs_sharp(self) -> bool:
+        """Whether the middle is drawn apart from the instants."""
+        return self.render == "fused"
+
+    def compared(
+        self, exposure: Exposure, blend: Blend | None, iteration: float, still: Callable[[], bool]
+    ) -> Compared:
+        """The renders that are compared with the frame, and their shares.
+
+        Args:
+            exposure: what was drawn.
+            blend: the fusion network, where there is one.
+            iteration: of the paper's 15,000.
+            still: tells whether the frame counts as still.
+        """
+        if self.render == "fused":
+            assert blend is not None
+            sharp = exposure.middle.image[0]
+            return [(1.0, torch.lerp(sharp, exposure.mean, blend(sharp)))]
+        return [(1.0, exposure.mean)]
+
+    def alpha(self, exposure: Exposure) -> Float[Tensor, "H W"]:
+        """Mean coverage of the instants that count."""
+        return exposure.alpha
+
+    def alphas(self, exposure: Exposure) -> Float[Tensor, "instants H W"]:
+        """Coverage of each of them."""
+        return exposure.instants.alpha
+
+
+@dataclass(frozen=True)
+class ReleasedSupervision(Supervision):
+    """The released code's schedule of losses.
+
+    After 5,000 iterations its B is compared no more, and after 7,000, where there is a fusion
+    network, it is part of F without gradient. The sharp render is one more instant of the exposure,
+    and of its coverage.
+
+    Source: facts of the code (xianrui-luo/deblur_avatar, train.py).
+    """
+
+    render: Literal["fused"] = "fused"
+
+    def compared(
+        self, exposure: Exposure, blend: Blend | None, iteration: float, still: Callable[[], bool]
+    ) -> Compared:
+        """C and B, then C (a tenth of it in frames that move) and F."""
+        sharp = exposure.middle.image[0]
+        mean = with_instant(exposure.mean, exposure.instants.instants, sharp)
+        if iteration < BOTH_UNTIL:
+            return [(1.0, sharp), (1.0, mean)]
+        compared = [(1.0 if still() else MOVING_WEIGHT, sharp)]
+        if blend is not None:
+            mean = mean.detach()
+            compared.append((1.0, torch.lerp(sharp, mean, blend(mean))))
+        return compared
+
+    def alpha(self, exposure: Exposure) -> Float[Tensor, "H W"]:
+        """Of the instants and the sharp render."""
+        return with_instant(exposure.alpha, exposure.instants.instants, exposure.middle.alpha[0])
+
+    def alphas(self, exposure: Exposure) -> Float[Tensor, "instants H W"]:
+        """The instants', and the sharp render's."""
+        return torch.cat([exposure.instants.alpha, exposure.middle.alpha])
+
+
+SUPERVISIONS: dict[str, Supervision] = {
+    "sharp": Supervision("sharp"),
+    "mean": Supervision("mean"),
+    "fused": Supervision("fused"),
+    "released": ReleasedSupervision(),
+}
+
+
+@dataclass(frozen=True)
+class Mask:
+    """Which coverage is compared with the matte.
+
+    of: the coverage, of what a supervision has drawn.
+    each: whether every instant's own is needed, not only their mean.
+    needs_sharp: whether the middle is drawn apart from the instants.
+    """
+
+    of: Callable[[Exposure, Supervision], Float[Tensor, "H W"]]
+    each: bool = False
+    needs_sharp: bool = False
+
+
+def mean_coverage(exposure: Exposure, supervision: Supervision) -> Float[Tensor, "H W"]:
+    """How much of the exposure a pixel was covered for."""
+    return supervision.alpha(exposure)
+
+
+def union_coverage(exposure: Exposure, supervision: Supervision) -> Float[Tensor, "H W"]:
+    """Whether a pixel was covered at any instant."""
+    return 1 - (1 - supervision.alphas(exposure)).prod(0)
+
+
+def centre_coverage(exposure: Exposure, supervision: Supervision) -> Float[Tensor, "H W"]:
+    """Coverage at the middle."""
+    return mean_of_instants(exposure.middle.alpha)
+
+
+MASKS: dict[str, Mask] = {
+    "mean": Mask(mean_coverage),
+    "union": Mask(union_coverage, each=True),
+    "centre": Mask(centre_coverage, needs_sharp=True),
+}
 
 
 def still_frames(trajectory: Trajectory, frames: list[int]) -> set[int]:

@@ -9,6 +9,7 @@ from torch import Tensor
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.errors import ArtifactError
 
+# Not a parameter: enough to see the person's edge from both sides at three scales.
 BOX_MARGIN = 8  # pixels around the person in which structure is compared
 
 

@@ -7,51 +7,49 @@ something starts count in the paper's 15,000 iterations and are scaled to the sc
 import copy
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.avatar import AvatarModel, FrameState, Rendering, TrainingStep
 from deblur_avatar.avatars.half_precision import as_computed
-from deblur_avatar.avatars.model import AvatarModel, FrameState
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.motion.trajectory import Instants, Trajectory
-from deblur_avatar.rendering.rasterize import rasterize
-from deblur_avatar.rendering.result import Rasterization
 from deblur_avatar.training.densify import Densifier, replace_gaussians
 from deblur_avatar.training.exposure_gains import ExposureGains
 from deblur_avatar.training.fusion_network import FusionNetwork
 from deblur_avatar.training.objective import Objective
-from deblur_avatar.training.optimizers import PAPER_ITERATIONS, Descent
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.optimizers import Optimizers
+from deblur_avatar.training.params import FitParams
 from deblur_avatar.training.resume import (
     Progress,
     RunFolder,
     Snapshot,
 )
-from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.supervision import (
-    BOTH_UNTIL,
-    RELEASED,
-    shares,
+    MASKS,
+    SUPERVISIONS,
+    Blend,
+    Compared,
+    Exposure,
+    Mask,
+    Supervision,
     still_frames,
 )
 from deblur_avatar.training.targets import Target, target_of
 
 Report = Callable[[int, Mapping[str, float]], None]
-Posed = tuple[Tensor, Tensor]  # means [S, N, 3] and covariances [S, N, 6] at S instants
 
-NEIGHBOUR_REFRESH = 100  # steps; canonical positions move by less than their spacing in between
-PRETRAIN_SAMPLES = 4096
-PRETRAIN_RATE = 2e-3
-POSE_NOISE_SHARE = 0.5  # of the steps have noise on the conditioning pose (3DGS-Avatar)
+# Not a parameter: canonical positions move by less than their spacing in so many steps.
+NEIGHBOUR_REFRESH = 100
 
 
 class AvatarFit:
-    """All unknowns, their optimisers, and one step of gradient descent.
+    """All unknowns, their optimizers, and one step of gradient descent.
 
     Raises:
         ArtifactError: if no training frame shows a person.
@@ -59,22 +57,19 @@ class AvatarFit:
 
     def __init__(
         self,
-        model: AvatarModel,
+        avatar: AvatarModel,
         trajectory: Trajectory,
         observations: Observations,
-        params: StartParams,
-        schedule: ScheduleParams,
+        params: FitParams,
         device: torch.device,
         generator: torch.Generator,
         fusion: FusionNetwork | None = None,
     ) -> None:
-        self.model, self.trajectory, self.fusion = model, trajectory, fusion
-        self._params, self._schedule = params, schedule
+        self.avatar, self.trajectory, self.fusion = avatar, trajectory, fusion
+        self._params, self._scale = params, params.schedule.scale
         self._device, self._generator = device, generator
-        self._scale = schedule.fusion / PAPER_ITERATIONS
-        camera = observations.train_camera
-        self._K = observations.cameras.Ks[camera].to(device)
-        self._viewmat = observations.cameras.viewmats[camera].to(device)
+        height, width = observations.frames.shape[1:3]
+        self._camera = replace(observations.camera.to(device), width=width, height=height)
         self._timestamps = observations.timestamps
         self._targets = {
             index: target_of(observations, index, device)
@@ -83,34 +78,18 @@ class AvatarFit:
         }
         if not self._targets:
             raise ArtifactError("no training frame shows a person; check masks and weights")
-        self.objective = Objective(
-            model, trajectory, observations, params, self._scale, device, generator
-        )
+        recipe = params.recipe
+        self.objective = Objective(avatar, trajectory, observations, recipe, params.motion, device)
         self._queue: list[int] = []
         self._still: set[int] | None = None
-        self.descent = Descent(model, trajectory, fusion, params, schedule)
-        self._densifier = Densifier(len(model.gaussians), device)
+        self.optimizers = Optimizers(avatar, trajectory, fusion, params)
+        densified = avatar.densified
+        self._densifier = None if densified is None else Densifier(len(densified), device)
         self._gains = (
             ExposureGains(len(observations.frames), observations.light, device)
-            if params.exposure_gain == "frame"
+            if recipe.exposure_gain == "frame"
             else None
         )
-
-    def pretrain_skinning(self, iterations: int) -> None:
-        """Teach the skinning network the body's own weights before it has to bend anything.
-
-        In the paper's 3,000 steps of warm-up it learns them on the way; a short schedule cannot
-        wait for that.
-        """
-        if self._params.model.skinning is None:
-            return
-        optimiser = torch.optim.Adam(self.model.skinning.parameters(), lr=PRETRAIN_RATE)
-        decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(iterations, 1))
-        for _ in range(iterations):
-            optimiser.zero_grad()
-            self.objective.skinning_apart(PRETRAIN_SAMPLES).backward()
-            optimiser.step()
-            decay.step()
 
     def run(
         self,
@@ -145,74 +124,47 @@ class AvatarFit:
         for iteration in range(first, last + 1):
             # What is looked up is looked up anew in such a step, so that it need not be saved.
             if folder is not None and iteration % NEIGHBOUR_REFRESH == 0 and folder.due():
-                folder.save(iteration - 1, spent, self.descent.left_out, self._state())
+                folder.save(iteration - 1, spent, self.optimizers.left_out, self._state())
             begin = time.perf_counter()
             report(iteration, self.step(iteration, supervision, mask))
             spent += time.perf_counter() - begin
             if folder is not None and folder.wants(iteration):
                 folder.keep(iteration, spent, self._snapshot(iteration))
-        if self._params.model.color is not None:
-            self.model.color.fill_untrained_latents(list(self._targets))
+        self.avatar.fill_untrained_latents(list(self._targets))
         return spent
 
     def step(self, iteration: int, supervision: str, mask: str) -> dict[str, float]:
         """One iteration on one random frame."""
-        self.descent.set_rates(iteration)
+        chosen, covered = SUPERVISIONS[supervision], MASKS[mask]
+        step = self._step(iteration)
+        self.optimizers.set_rates(iteration)
         if iteration % NEIGHBOUR_REFRESH == 0:
-            self._invalidate_neighbours()
+            self.avatar.invalidate_neighbours()
         index = self._next_frame()
         target = self._targets[index]
         instants = self.trajectory(index)
-        frame_state = self._condition(iteration, index, instants)
-        both = supervision in ("fused", RELEASED) or mask == "centre"
-        transforms = self._transforms(instants, supervision)
-        noise = self.model.view_noise(self._generator)
-        colors = self.model.colors(frame_state, transforms[-1], self._viewmat, noise)
-        (means, covars), *centre = _posed(frame_state, transforms, both)
-        drawn = self._rasterize(means, covars, colors, target, average=mask != "union")
-        pictures = {"sharp" if supervision == "sharp" else "mean": drawn.image.mean(0)}
-        covers = drawn.alpha
-        if both:
-            sharp = self._rasterize(*centre[0], colors, target, average=False)
-            pictures["sharp"] = sharp.image[0]
-            if supervision == RELEASED:
-                # The sharp render is one more instant of the exposure, and of its coverage.
-                pictures["mean"] = torch.lerp(
-                    pictures["mean"], sharp.image[0], 1 / (len(means) + 1)
-                )
-                covers = torch.cat([covers, sharp.alpha])
-            if mask == "centre":
-                covers = sharp.alpha
-            if self.fusion is not None:
-                covered = (drawn.alpha > 0).any(0) | (sharp.alpha[0] > 0)
-                pictures["fused"] = self._fused(pictures, covered, frame_state, supervision)
-        alpha = 1 - (1 - covers).prod(0) if mask == "union" else covers.mean(0)
-        still = supervision == RELEASED and self._is_still(iteration, index)
-        blended = self.fusion is not None
-        weights = shares(supervision, iteration / self._scale, still, blended)
-        compared = [(weight, pictures[name]) for name, weight in weights.items()]
-        if self._gains is not None:
-            gain = self._gains.of(index)
-            self._gains.observe(index, compared[-1][1], target)
-            compared = [(weight, gain * picture) for weight, picture in compared]
-        terms = self.objective.pictures(compared, alpha, target)
-        terms |= self.objective.skinning(iteration)
-        middle = len(means) // 2
-        terms |= self.objective.isometry(means[middle], covars[middle])
-        terms |= self.objective.evenness() | self.objective.priors(index, instants)
+        exposure, state = self._render(index, instants, chosen, covered, step)
+        compared = chosen.compared(
+            exposure, self._blend(exposure, state), iteration / self._scale,
+            lambda: self._is_still(index),
+        )  # fmt: skip
+        alpha = covered.of(exposure, chosen)
+        terms = self.objective.pictures(self._with_gain(index, compared, target), alpha, target)
+        terms |= self.objective.regularisers(exposure.instants, step)
+        terms |= self.objective.priors(index, instants)
         total = torch.stack(list(terms.values())).sum()
-        if self.descent.step(iteration, total):
-            self._densify(iteration, drawn, target)
+        if self.optimizers.step(step, total):
+            self._densify(step, exposure.instants)
         return {name: float(value.detach()) for name, value in terms.items()}
 
     def cost(self, seconds: float) -> dict[str, Any]:
         """What a stage's measurements say of it, and which perceptual term it had."""
         return {
             "seconds": seconds,
-            "gaussians": len(self.model.gaussians),
-            "left_out": self.descent.left_out,
+            "gaussians": self._gaussians,
+            "left_out": self.optimizers.left_out,
             "perceptual": self.objective.perceptual,
-            **as_computed(self._params.model.precision, self._device),
+            **as_computed(self.avatar.precision, self._device),
         }
 
     def checkpoint(self, iteration: int) -> Checkpoint:
@@ -228,7 +180,8 @@ class AvatarFit:
         Raises:
             ArtifactError: if it remembers another number of Gaussians than there are.
         """
-        held, wanted = len(checkpoint.tensors["densifier.pull"]), len(self.model.gaussians)
+        held = len(checkpoint.tensors.get("densifier.pull", ()))
+        wanted = self._gaussians
         if held != wanted:
             raise ArtifactError(
                 f"checkpoint/1 remembers {held} Gaussians, the avatar has {wanted}: "
@@ -236,20 +189,29 @@ class AvatarFit:
             )
         self._recall(checkpoint.tensors)
 
+    @property
+    def _gaussians(self) -> int:
+        return 0 if self.avatar.densified is None else len(self.avatar.densified)
+
     def _memory(self) -> dict[str, Tensor]:
-        held = {f"densifier.{key}": value for key, value in self._densifier.state().items()}
-        if self._gains is not None:
-            held |= {f"gains.{key}": value for key, value in self._gains.state().items()}
-        return self.descent.memory() | {key: value.cpu().clone() for key, value in held.items()}
+        parts = {"densifier": self._densifier, "gains": self._gains}
+        held = {
+            f"{name}.{key}": value.cpu().clone()
+            for name, part in parts.items()
+            if part is not None
+            for key, value in part.state().items()
+        }
+        return self.optimizers.memory() | held
 
     def _recall(self, tensors: dict[str, Tensor]) -> None:
-        self.descent.recall(tensors)
-        self._densifier.restore(_below("densifier.", tensors))
+        self.optimizers.recall(tensors)
+        if self._densifier is not None:
+            self._densifier.restore(_below("densifier.", tensors))
         if self._gains is not None:
             self._gains.restore(_below("gains.", tensors))
 
     def _modules(self) -> dict[str, torch.nn.Module]:
-        modules = {"model.": self.model, "trajectory.": self.trajectory}
+        modules = {"model.": self.avatar, "trajectory.": self.trajectory}
         return modules if self.fusion is None else modules | {"fusion.": self.fusion}
 
     def _state(self) -> dict[str, Tensor]:
@@ -266,100 +228,89 @@ class AvatarFit:
     def _go_on(self, progress: Progress) -> None:
         """Become the fit that `_state` described."""
         tensors = progress.tensors
-        gaussians = self.model.gaussians
-        none = torch.zeros(len(gaussians), dtype=torch.bool, device=self._device)
-        replace_gaussians(
-            gaussians, self.descent.gaussians, none, [_below("model.gaussians.", tensors)]
-        )
+        gaussians, optimizer = self.avatar.densified, self.optimizers.gaussians
+        if gaussians is not None and optimizer is not None:
+            none = torch.zeros(len(gaussians), dtype=torch.bool, device=self._device)
+            replace_gaussians(gaussians, optimizer, none, [_below("model.gaussians.", tensors)])
         for prefix, module in self._modules().items():
             module.load_state_dict(_below(prefix, tensors))
         self._recall(tensors)
-        self.descent.left_out = progress.left_out
+        self.optimizers.left_out = progress.left_out
         self._queue = tensors["frames_to_come"].tolist()
         self._generator.set_state(tensors["generator"])
         if "still_frames" in tensors:
             self._still = set(tensors["still_frames"].tolist())
-        self._invalidate_neighbours()
+        self.avatar.invalidate_neighbours()
 
     def _snapshot(self, iteration: int) -> Snapshot:
-        model = copy.deepcopy(self.model)  # what is lent, and what is looked up, is its own
-        if self._params.model.color is not None:
-            model.color.fill_untrained_latents(list(self._targets))
-        motion = self.trajectory.to_artifact(model.betas, self._timestamps)
-        return Snapshot(avatar=model.to_artifact(iteration), motion=motion)
+        avatar = copy.deepcopy(self.avatar)  # what is lent, and what is looked up, is its own
+        avatar.fill_untrained_latents(list(self._targets))
+        motion = self.trajectory.to_artifact(avatar.betas, self._timestamps)
+        return Snapshot(avatar=avatar.to_artifact(iteration), motion=motion)
 
-    def _condition(self, iteration: int, index: int, instants: Instants) -> FrameState:
-        noise = None
-        std = self._params.optimiser.pose_noise
-        if std > 0 and self._params.model.nonrigid is not None:
-            chance = torch.rand(1, generator=self._generator, device=self._device)
-            draw = torch.randn(
-                instants.centre_rotations.shape, generator=self._generator, device=self._device
-            )
-            noise = draw * std * (chance < POSE_NOISE_SHARE)
-        deform = iteration > self._params.optimiser.nonrigid_start * self._scale
-        return self.model.condition(
-            instants.centre_rotations, index, deform=deform, pose_noise=noise
-        )
+    def _step(self, iteration: int) -> TrainingStep:
+        return TrainingStep(iteration, self._scale, self._params.recipe.fitting, self._generator)
 
-    def _transforms(self, instants: Instants, supervision: str) -> Float[Tensor, "S J 4 4"]:
-        """Of the drawn instants and, last, of the middle, in one go; if it is drawn alone, once."""
+    def _render(
+        self, index: int, instants: Instants, supervision: Supervision, mask: Mask,
+        step: TrainingStep,
+    ) -> tuple[Exposure, FrameState]:  # fmt: skip
+        """Draw what is compared of an exposure, conditioned for its middle."""
+        # Asked for twice: the order of operations is that in which gradients are added.
+        centre = instants.centre_rotations
         rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
-        if supervision != "sharp":
+        if supervision.averages:  # the middle comes last
             rotations = torch.cat([instants.rotations, rotations])
             transl = torch.cat([instants.transl, transl])
-        return self.model.transforms(rotations, transl)
+        transforms = self.avatar.transforms(rotations, transl)
+        state = self.avatar.condition(centre, index, transforms[-1], self._camera.viewmat, step)
+        drawn = transforms[:-1] if supervision.averages else transforms
+        average = not mask.each
+        if supervision.averages and (supervision.needs_sharp or mask.needs_sharp):
+            both = self.avatar.render_exposure(state, transforms, self._camera, average=average)
+            return Exposure(*both), state
+        rendering = self.avatar.render(state, drawn, self._camera, average=average)
+        return Exposure(rendering, None), state
 
-    def _fused(
-        self,
-        pictures: dict[str, Tensor],
-        covered: Tensor,
-        frame_state: FrameState,
-        supervision: str,
-    ) -> Tensor:
-        """The fusion network's blend of the sharp and the averaged render."""
-        assert self.fusion is not None
-        sharp, mean = pictures["sharp"], pictures["mean"]
-        seen = sharp
-        if supervision == RELEASED:
-            seen = mean = mean.detach()
-        code = frame_state.pose_code if self.fusion.sees_pose else None
-        blend = self.fusion(seen, covered, code, frame_state.frame)
-        return torch.lerp(sharp, mean, blend)
+    def _blend(self, exposure: Exposure, state: FrameState) -> Blend | None:
+        """The fusion network's choice between the sharp and the averaged render."""
+        fusion = self.fusion
+        if fusion is None:
+            return None
+        covered = (exposure.instants.alpha > 0).any(0) | (exposure.middle.alpha[0] > 0)
+        code = state.pose_code if fusion.sees_pose else None
+        return lambda seen: fusion(seen, covered, code, state.frame)
 
-    def _is_still(self, iteration: int, index: int) -> bool:
+    def _with_gain(self, index: int, compared: Compared, target: Target) -> Compared:
+        """As bright as the frame is."""
+        if self._gains is None:
+            return compared
+        gain = self._gains.of(index)
+        self._gains.observe(index, compared[-1][1], target)
+        return [(share, gain * picture) for share, picture in compared]
+
+    def _is_still(self, index: int) -> bool:
         """Whether a frame counts as still, which is settled once, when it first matters."""
-        if iteration < BOTH_UNTIL * self._scale:
-            return False
         if self._still is None:
             self._still = still_frames(self.trajectory, list(self._targets))
         return index in self._still
 
-    def _rasterize(
-        self, means: Tensor, covars: Tensor, colors: Tensor, target: Target, average: bool
-    ) -> Rasterization:
-        height, width = target.matte.shape
-        return rasterize(
-            means, covars, self.model.gaussians.opacities, colors, self._viewmat, self._K,
-            width, height, average=average,
-        )  # fmt: skip
-
-    def _densify(self, iteration: int, drawn: Rasterization, target: Target) -> None:
-        params = self._params.densify
-        if not params.start * self._scale < iteration < params.stop * self._scale:
+    def _densify(self, step: TrainingStep, rendering: Rendering) -> None:
+        """Add and drop Gaussians, of avatars that are made of them."""
+        gaussians, drawn = self.avatar.densified, rendering.rasterization
+        if gaussians is None or self._densifier is None or drawn is None:
             return
-        height, width = target.matte.shape
-        self._densifier.observe(drawn.screen.means2d_grad, drawn.radii, width, height)
-        if iteration % max(round(params.every * self._scale), 1) == 0:
-            self._densifier.edit(
-                self.model.gaussians, self.descent.gaussians, params, self._generator
-            )
-            self._invalidate_neighbours()
-
-    def _invalidate_neighbours(self) -> None:
-        """Forget who is next to whom and where on the body, because Gaussians have moved."""
-        self.objective.invalidate_neighbours()
-        self.model.invalidate_neighbours()
+        if not drawn.screen.filled:  # no loss looked at these renders
+            return
+        params = step.fitting.densify
+        if not (step.past(params.start) and step.iteration < params.stop * step.scale):
+            return
+        camera = self._camera
+        self._densifier.observe(drawn.screen.means2d_grad, drawn.radii, camera.width, camera.height)
+        if step.iteration % max(round(params.every * step.scale), 1) == 0:
+            assert self.optimizers.gaussians is not None
+            self._densifier.edit(gaussians, self.optimizers.gaussians, params, self._generator)
+            self.avatar.invalidate_neighbours()
 
     def _next_frame(self) -> int:
         if not self._queue:
@@ -369,22 +320,6 @@ class AvatarFit:
             ).tolist()
             self._queue = [frames[position] for position in order]
         return self._queue.pop()
-
-
-def _posed(
-    frame_state: FrameState, transforms: Float[Tensor, "S J 4 4"], both: bool
-) -> list[Posed]:
-    """The Gaussians at the drawn instants and, if `both` are wanted, in the middle.
-
-    All in one call, which blends each Gaussian's transforms, and their gradients, only once.
-    """
-    if len(transforms) == 1:
-        return [frame_state.posed(transforms)] * (2 if both else 1)
-    if not both:
-        return [frame_state.posed(transforms[:-1])]
-    sizes = [len(transforms) - 1, 1]
-    means, covars = (part.split(sizes) for part in frame_state.posed(transforms))
-    return list(zip(means, covars, strict=True))
 
 
 def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

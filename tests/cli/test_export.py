@@ -9,7 +9,7 @@ from deblur_avatar.cli.main import main
 @pytest.fixture
 def project(tmp_path, monkeypatch, scene):
     """A checkout with one fitted run, and an avatar of a video's with two."""
-    run = {"scene": "capsules", "observations": "blurred", "start": "lean", "method": "lean"}
+    run = {"scene": "capsules", "observations": "blurred", "avatar": "lean", "method": "lean"}
     for folder, runs in (("", ["capsules-lean"]), ("avatars/anna", ["anna-lean", "anna-paper"])):
         place = tmp_path / folder
         for name in runs:

@@ -53,7 +53,7 @@ def test_a_section_of_its_own_is_taken_from_the_avatars_file(root: Path, video: 
     path.write_text(path.read_text() + "check: {on_failure: stop}\n")
     prepare(video, "anna", "lean", "medium", root)
     assert content(path)["from"]["check"] == "params.yaml"
-    assert content(path)["from"]["starts"] == "../../params.yaml"
+    assert content(path)["from"]["avatars"] == "../../params.yaml"
 
 
 def test_what_the_user_changed_stays(root: Path, video: Path):
@@ -64,8 +64,8 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     changed = content(path)
     assert changed["scenes"]["anna"]["clip"]["field_of_view"] == 75.0
     assert set(changed["runs"]) == {"anna-lean", "anna-agnostic"}
-    assert changed["runs"]["anna-lean"]["start"] == "lean"
-    assert changed["runs"]["anna-agnostic"]["start"] == "paper"
+    assert changed["runs"]["anna-lean"]["avatar"] == "lean"
+    assert changed["runs"]["anna-agnostic"]["avatar"] == "paper"
     assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
 
 
@@ -101,7 +101,7 @@ def test_a_damaged_file_of_an_avatar_is_named_and_stays(root, video, text, messa
     assert path.read_text() == text
 
 
-@pytest.mark.parametrize("section", ["methods", "schedules", "starts"])
+@pytest.mark.parametrize("section", ["methods", "schedules", "avatars"])
 def test_a_repositorys_damaged_parameters_are_named(root, video, section):
     parameters = content(root / "params.yaml")
     with (root / "params.yaml").open("w") as file:

@@ -90,7 +90,7 @@ def test_the_committed_parameters_are_valid_in_every_section():
     content = read_yaml(ROOT / "params.yaml")
     check_parameters(ROOT / "params.yaml")
     for run in content["runs"].values():
-        warmup = f"{run['scene']}-{run['observations']}-{run['start']}"
+        warmup = f"{run['scene']}-{run['observations']}-{run['avatar']}"
         assert warmup in content["warmups"]
 
 

@@ -7,7 +7,7 @@ from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.costs import read_costs, with_seconds
 
-RUN = RunParams(scene="hall", observations="sharp", start="plain", method="oracle")
+RUN = RunParams(scene="hall", observations="sharp", avatar="plain", method="oracle")
 
 
 def measured(folder: Path, stage: str, item: str, seconds: float, megabytes: float) -> Path:

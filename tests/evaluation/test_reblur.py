@@ -5,7 +5,7 @@ import torch
 
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import render_avatar
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.reblur import poses_of_exposure, reblur
 

@@ -5,7 +5,8 @@ import pytest
 import torch
 import trimesh
 
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.exports.exporter import FittedRun

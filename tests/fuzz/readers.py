@@ -88,10 +88,10 @@ def _write_parameters(folder: Path) -> None:
     """The smallest part of the root's file that hangs together, in two files."""
     content = read_yaml(ROOT / "params.yaml")
     name, wanted = next(iter(content["runs"].items()))
-    warmup = f"{wanted['scene']}-{wanted['observations']}-{wanted['start']}"
+    warmup = f"{wanted['scene']}-{wanted['observations']}-{wanted['avatar']}"
     used = {
         "schedules": content["schedule"], "bodies": "anny", "scenes": wanted["scene"],
-        "starts": wanted["start"], "methods": wanted["method"], "warmups": warmup, "runs": name,
+        "avatars": wanted["avatar"], "methods": wanted["method"], "warmups": warmup, "runs": name,
     }  # fmt: skip
     below = {section: {key: content[section][key]} for section, key in used.items()}
     below |= {"check": content["check"], "animations": {}, "predeblur": {}}
@@ -104,7 +104,7 @@ def _write_parameters(folder: Path) -> None:
 def _write_avatar(folder: Path) -> None:
     """What `make avatar` wrote for one video."""
     methods = {"lean": {}}
-    shared = {"methods": methods, "starts": methods, "schedules": {"medium": {}}, "snapshots": 0}
+    shared = {"methods": methods, "avatars": methods, "schedules": {"medium": {}}, "snapshots": 0}
     clip = {"path": str((folder / "film.mp4").resolve())}
     own = {"scenes": {"me": {"clip": clip}}, "warmups": {}, "runs": {}, "animations": {}}
     own |= {"bodies": {}}
@@ -130,7 +130,7 @@ def _write_numbers(folder: Path) -> None:
     run.write_json(folder / "fit.json", {"track": {"mean": 0.5}, "frames": [1, 2]} | cost)
 
 
-_RUN = RunParams(scene="s", observations="blurred", start="t", method="m")
+_RUN = RunParams(scene="s", observations="blurred", avatar="t", method="m")
 
 
 def _write_metrics(folder: Path) -> None:

@@ -84,19 +84,25 @@ def test_only_as_many_instants_are_fitted_as_an_exposure_is_given():
     assert trajectory_from_artifact(artifact)(3).quats.shape[0] == 1
 
 
-def test_nothing_is_held_against_a_trajectory_that_has_not_moved():
-    priors = clip_motion(circling(12), exposure=2 / 60).priors()
-    assert float(priors["anchor"]) == pytest.approx(0, abs=1e-9)
-    assert float(priors["shutter"]) == 0
+def test_nothing_is_held_against_a_trajectory_that_has_not_moved(sharpened):
+    motion = clip_motion(circling(12), exposure=2 / 60)
+    assert prior(motion, "anchor", sharpened) == pytest.approx(0, abs=1e-9)
+    motion.log_shutter.requires_grad_()
+    assert prior(motion, "shutter", sharpened) == 0
 
 
-def test_the_anchor_weighs_shifts_against_turns():
+def prior(motion, name, sharpened):
+    """One of the penalties at the first exposure, of a clip that knows no depth."""
+    return float(motion.priors(0, motion(0), sharpened(depth_known=False))[name]())
+
+
+def test_the_anchor_weighs_shifts_against_turns(sharpened):
     turned, shifted = (clip_motion(circling(12), exposure=2 / 60) for _ in range(2))
     with torch.no_grad():
         turned.axis_angle[:, 1, 0] += 0.1  # one joint, which did not turn before
         shifted.transl[:, 1] += 0.1 * LEVER
-    assert float(turned.priors()["anchor"]) == pytest.approx(0.01 / 24, rel=1e-3)
-    assert float(shifted.priors()["anchor"]) == pytest.approx(0.01, rel=1e-3)
+    assert prior(turned, "anchor", sharpened) == pytest.approx(0.01 / 24, rel=1e-3)
+    assert prior(shifted, "anchor", sharpened) == pytest.approx(0.01, rel=1e-3)
 
 
 def test_the_shutter_is_an_unknown_only_where_it_is_estimated():

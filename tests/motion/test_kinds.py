@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from deblur_avatar.artifacts.motion import NAMES_ON_DISK, Motion
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.evaluation.reblur import poses_of_exposure, reblur
@@ -80,10 +80,13 @@ def test_what_no_trained_frame_has_taught_does_not_show_in_a_frame_set_aside(cre
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_unknown_is_in_one_group_under_its_own_name(create, kind):
+def test_every_unknown_is_in_one_group_that_has_a_rate_under_its_own_name(create, section, kind):
     trajectory, _ = create(kind)
     groups = trajectory.parameter_groups()
-    assert groups.keys() <= {"poses", "transl", "shutter"}
+    unknown = {
+        group for group, named in groups.items() if any(value.requires_grad for _, value in named)
+    }
+    assert unknown <= section(kind).learning_rates().keys()
     named = [entry for group in groups.values() for entry in group]
     assert len(named) == len({name for name, _ in named})
     parameters = dict(trajectory.named_parameters())
@@ -113,7 +116,7 @@ def test_an_unknown_kind_is_refused_by_naming_those_there_are(tiny_content):
 
 
 def test_tensors_have_the_names_on_disk_that_they_always_had(create):
-    clip, seen = create("clip", shutter="estimated")
+    clip, seen = create("clip", shutter={"kind": "estimated", "rate": 0.02, "weight": 1e-3})
     saved = clip.to_artifact(seen.poses.betas, seen.timestamps)
     assert list(saved.parameters) == [
         "axis_angle", "transl", "log_shutter",
@@ -123,9 +126,13 @@ def test_tensors_have_the_names_on_disk_that_they_always_had(create):
 
 
 class DriftParams(MotionParams):
-    """The least that a kind has: no keys but its name."""
+    """The least that a kind has: its name, and a rate for its unknown."""
 
     kind: Literal["drift"]
+    rate: float
+
+    def learning_rates(self):
+        return {"velocity": self.rate}
 
 
 class DriftMotion(Trajectory):
@@ -158,13 +165,17 @@ class DriftMotion(Trajectory):
         return Instants(quats.expand(len(u), -1, -1), transl, quats, self.place[frame])
 
     def parameter_groups(self):
-        return {"transl": [("velocity", self.velocity)]}
+        return {"velocity": [("velocity", self.velocity)]}
 
 
-def test_a_new_kind_needs_its_module_and_a_line(monkeypatch, observations, start, schedule):
+def test_a_new_kind_needs_its_module_and_a_line(monkeypatch, observations, recipe, schedule):
     monkeypatch.setitem(KINDS, DriftMotion.kind, DriftMotion)
     content = {
-        "trajectory": {"motion": {"kind": "drift"}, "supervision": "mean", "mask": "mean"},
+        "trajectory": {
+            "motion": {"kind": "drift", "rate": 1e-4},
+            "supervision": "mean",
+            "mask": "mean",
+        },
         "fusion": {"supervision": "mean", "mask": "mean"},
     }
     method = parse(MethodParams, content, "methods.drift")
@@ -172,15 +183,23 @@ def test_a_new_kind_needs_its_module_and_a_line(monkeypatch, observations, start
     shared = {
         "device": CPU, "generator": torch.Generator().manual_seed(0), "report": quiet,
     }  # fmt: skip
-    warm = warm_up(observations, start, schedule, **shared)
+    warm = warm_up(observations, recipe, schedule, **shared)
     avatar, motion, checkpoint, _ = fit_trajectory(
-        observations, *warm[:2], start, method.trajectory, schedule, **shared
+        observations, *warm[:2], recipe, method.trajectory, schedule, **shared
     )
     assert checkpoint.tensors["networks.motion.velocity.step"] > 0
     avatar, motion, _ = fuse(
-        observations, avatar, motion, checkpoint, start, method.fusion, schedule, **shared
+        observations,
+        avatar,
+        motion,
+        checkpoint,
+        recipe,
+        method.trajectory.motion,
+        method.fusion,
+        schedule,
+        **shared,
     )
     assert motion.kind == "drift"
     assert motion.parameters["velocity"].abs().max() > 0
-    model = AvatarModel.from_artifact(avatar, observations.body, CPU)
+    model = avatar_from_artifact(avatar, observations.body, CPU)
     assert reblur(model, observations, motion)["psnr"] > 10

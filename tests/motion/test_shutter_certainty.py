@@ -7,7 +7,8 @@ import torch
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.motion.clip import ClipMotion
 from deblur_avatar.motion.shutter_certainty import GUESS_STD, shutter_std
 from deblur_avatar.motion.trajectory import instants

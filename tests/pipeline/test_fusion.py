@@ -1,7 +1,6 @@
 import pytest
 import torch
 
-from deblur_avatar.avatars.params import ModelParams
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.fusion import FusionParams, fuse
@@ -18,10 +17,10 @@ def quiet(iteration, terms):
 
 
 @pytest.fixture
-def fused(observations, start, schedule, tiny_content):
+def fused(observations, recipe, schedule, tiny_content):
     """A whole run of a method, its last stage with changes."""
 
-    def run(method="paper", params=start, report=quiet, **changes):
+    def run(method="paper", params=recipe, report=quiet, **changes):
         torch.manual_seed(0)
         generator = torch.Generator().manual_seed(0)
         shared = {"device": CPU, "generator": generator}
@@ -35,7 +34,10 @@ def fused(observations, start, schedule, tiny_content):
         handed = fit_trajectory(
             observations, avatar, checkpoint, params, trajectory, schedule, report=quiet, **shared
         )
-        result = fuse(observations, *handed[:3], params, fusion, schedule, report=report, **shared)
+        result = fuse(
+            observations, *handed[:3], params, trajectory.motion, fusion, schedule, report=report,
+            **shared,
+        )  # fmt: skip
         return handed, result
 
     return run
@@ -93,7 +95,6 @@ def test_there_is_a_fusion_network_if_and_only_if_renders_are_fused(tiny_content
             parse(FusionParams, section | {"supervision": supervision}, "fusion")
 
 
-def test_an_avatar_without_a_pose_code_is_fused_by_what_is_seen(fused, start):
-    plain = ModelParams(nonrigid=None, skinning=None, color=None)
-    _, (avatar, _, _) = fused(params=start.model_copy(update={"model": plain}))
+def test_an_avatar_without_a_pose_code_is_fused_by_what_is_seen(fused, plain_recipe):
+    _, (avatar, _, _) = fused(params=plain_recipe)
     assert avatar.means.isfinite().all()

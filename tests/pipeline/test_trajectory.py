@@ -32,21 +32,21 @@ def method(tiny_content):
 
 
 @pytest.fixture
-def warm(observations, start, schedule):
+def warm(observations, recipe, schedule):
     torch.manual_seed(0)
     generator = torch.Generator().manual_seed(0)
     avatar, checkpoint, _ = warm_up(
-        observations, start, schedule, device=CPU, generator=generator, report=quiet
+        observations, recipe, schedule, device=CPU, generator=generator, report=quiet
     )
     return avatar, checkpoint
 
 
 @pytest.fixture
-def go_on(observations, start, schedule, warm):
+def go_on(observations, recipe, schedule, warm):
     def run(params, report=quiet):
         torch.manual_seed(1)
         return fit_trajectory(
-            observations, *warm, start, params, schedule, device=CPU,
+            observations, *warm, recipe, params, schedule, device=CPU,
             generator=torch.Generator().manual_seed(1), report=report,
         )  # fmt: skip
 
@@ -81,7 +81,7 @@ def test_without_a_model_of_blur_the_body_stands_still_in_a_refined_pose(
 
 
 def test_fixed_poses_stay_as_they_were_given(go_on, method, observations):
-    _, motion, _, _ = go_on(method("agnostic", kind="fixed"))
+    _, motion, _, _ = go_on(method("ceiling"))
     found, given = (axis_angle_to_matrix(p.axis_angle) for p in (motion.centre, observations.poses))
     torch.testing.assert_close(found, given)
 
@@ -122,7 +122,11 @@ def test_new_trajectories_start_from_the_given_poses(observations, method):
 
 
 def test_an_estimated_shutter_comes_with_its_uncertainty(go_on, method, observations):
-    _, motion, _, cost = go_on(method("lean", shutter="estimated", pixels_per_pose=0.0))
+    _, motion, _, cost = go_on(
+        method(
+            "lean", shutter={"kind": "estimated", "rate": 0.02, "weight": 1e-3}, pixels_per_pose=0.0
+        )
+    )
     assert motion.shutter == cost["shutter_s"]
     assert 0 < cost["shutter_std_s"] < cost["shutter_s"]
     assert cost["shutter_from"] in ("frames", "guess")

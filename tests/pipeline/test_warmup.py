@@ -1,8 +1,10 @@
 import pytest
 import torch
 
-from deblur_avatar.avatars.model import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.networks_avatar import NetworksAvatar
 from deblur_avatar.pipeline.warmup import warm_up
+from tests.changed_parameters import changed
 
 pytestmark = pytest.mark.portable
 
@@ -14,8 +16,8 @@ def quiet(iteration, terms):
 
 
 @pytest.fixture
-def warm(observations, start, schedule):
-    def run(params=start, seen=observations, seed=0, report=quiet):
+def warm(observations, recipe, schedule):
+    def run(params=recipe, seen=observations, seed=0, report=quiet):
         torch.manual_seed(seed)
         generator = torch.Generator().manual_seed(seed)
         return warm_up(seen, params, schedule, device=CPU, generator=generator, report=report)
@@ -23,7 +25,7 @@ def warm(observations, start, schedule):
     return run
 
 
-def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, start, schedule, observations):
+def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, recipe, schedule, observations):
     iterations = []
     avatar, checkpoint, cost = warm(report=lambda iteration, _: iterations.append(iteration))
     assert iterations == list(range(1, schedule.warmup + 1))
@@ -35,25 +37,21 @@ def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, start, schedule
     assert avatar.model["frames"] == len(observations.frames)
     assert avatar.model["light"] == observations.light
     assert torch.equal(avatar.betas, observations.poses.betas)
-    model = AvatarModel.from_artifact(avatar, observations.body, CPU)
-    assert model.params == start.model
+    model = avatar_from_artifact(avatar, observations.body, CPU)
+    assert model.params == recipe.model
 
 
 def test_the_first_gaussians_are_as_many_as_the_schedule_says_and_drawn_from_the_generator(
-    warm, start, schedule, observations
+    warm, recipe, schedule, observations
 ):
     never = {"start": 15_000, "stop": 15_000}
-    still = start.model_copy(
-        update={
-            "densify": start.densify.model_copy(update=never),
-            "optimiser": start.optimiser.model_copy(update={"gaussians_start": 15_000}),
-        }
-    )
+    still = changed(recipe, "fitting.densify", **never)
+    still = changed(still, "fitting", gaussians_start=15_000)
     avatar, checkpoint, _ = warm(still, seed=5)
     assert len(avatar.means) == schedule.gaussians
     assert checkpoint.tensors["densifier.first_count"].item() == schedule.gaussians
-    drawn = AvatarModel.create(
-        start.model, observations.body, observations.poses.betas, 5, schedule.gaussians, "srgb",
+    drawn = NetworksAvatar.create(
+        recipe.model, observations.body, observations.poses.betas, 5, schedule.gaussians, "srgb",
         torch.Generator().manual_seed(5),
     )  # fmt: skip
     assert torch.equal(avatar.means, drawn.gaussians.means)
@@ -86,11 +84,8 @@ def test_equal_seeds_make_equal_files(warm, tmp_path):
         assert one != other
 
 
-def test_pretraining_can_be_left_out(warm, start):
-    skinning = start.model.skinning.model_copy(update={"pretrain": 0})
-    params = start.model_copy(
-        update={"model": start.model.model_copy(update={"skinning": skinning})}
-    )
+def test_pretraining_can_be_left_out(warm, recipe):
+    params = changed(recipe, "model.skinning", pretrain=0)
     (with_it, _, _), (without, _, _) = warm(), warm(params)
     assert not torch.equal(
         with_it.networks["skinning.network.last.weight"],

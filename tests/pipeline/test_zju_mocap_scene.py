@@ -44,7 +44,7 @@ def folder(tmp_path_factory, tiny_parameters):
         },
     }  # fmt: skip
     smpl = {"source": "smpl", "file": str(sequence.smpl_file), "shape_components": SHAPES}
-    run = {"scene": "zju", "observations": "blurred", "start": "lean", "method": "lean"}
+    run = {"scene": "zju", "observations": "blurred", "avatar": "lean", "method": "lean"}
     content = {
         **tiny_parameters,
         "schedules": {"tiny": {**tiny_parameters["schedules"]["tiny"], "image_height": 128}},
@@ -96,7 +96,7 @@ def test_the_body_fills_what_fitting_sees(folder):
 
 def test_the_whole_pipeline_runs_to_metrics(folder):
     params_file, seen = folder / "params.yaml", folder / "seen/blurred"
-    steps = {"start": "lean", "observations": seen, "params_file": params_file}
+    steps = {"avatar": "lean", "observations": seen, "params_file": params_file}
     metrics, cost = folder / "metrics.json", folder / "cost.json"
     steps |= {"metrics": metrics, "cost": cost}
     script_of("warmup").main(out=folder / "warmup", **steps)

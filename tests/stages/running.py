@@ -39,7 +39,7 @@ def script_of(stage: str) -> types.ModuleType:
 def fitting_options(stage: str, folder: Path, read: Path) -> dict[str, Any]:
     """A fitting stage's arguments: it writes to `folder` and reads what others wrote to `read`."""
     given = {
-        "start": "paper",
+        "avatar": "paper",
         "observations": read / "observations",
         "out": folder / stage,
         "metrics": folder / f"{stage}.json",

@@ -103,7 +103,7 @@ def test_a_second_run_in_another_process_writes_the_same_bytes(chain, tiny, stag
 def misspell(content: dict[str, Any], stage: str) -> str:
     """Misspell a key that the stage reads; returns the section it is in."""
     if stage == "warmup":
-        section, where = content["starts"]["paper"]["optimiser"], "starts.paper"
+        section, where = content["avatars"]["paper"]["losses"], "avatars.paper"
     else:
         section, where = content["methods"]["paper"][stage], f"methods.paper.{stage}"
     key = list(section)[1]  # the first names the kind

@@ -27,7 +27,7 @@ from deblur_avatar.config.reading import (
 )
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.parameters import MethodParams
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 from tests.structure.pipeline_files import ROOT
 
@@ -56,8 +56,8 @@ def modes():
 
 
 @pytest.fixture(scope="module")
-def start():
-    return load_params(PARAMS, "starts.lean", StartParams)
+def recipe():
+    return load_params(PARAMS, "avatars.lean", RecipeParams)
 
 
 def scene_params(**changes):
@@ -68,28 +68,28 @@ def scene_params(**changes):
     return scene.model_copy(update={"clip": clip})
 
 
-def setup(start, method):
+def setup(recipe, method):
     params = load_params(PARAMS, f"methods.{method}", MethodParams)
-    return FitSetup(start, params, SCHEDULE, validation_stride=10, seed=0, device=CPU)
+    return FitSetup(recipe, params, SCHEDULE, validation_stride=10, seed=0, device=CPU)
 
 
 @pytest.fixture(scope="module")
-def suite(tmp_path_factory, modes, start):
+def suite(tmp_path_factory, modes, recipe):
     """All of the suite's stages in one process."""
     folder = tmp_path_factory.mktemp("suite")
     body, clip, reference = film_scene(scene_params(), torch.Generator().manual_seed(0))
-    numbers = measure_ceiling(clip, reference, body, setup(start, "ceiling"), draws=2)
+    numbers = measure_ceiling(clip, reference, body, setup(recipe, "ceiling"), draws=2)
     clip.save(folder / "scene/turn/clip")
     reference.save(folder / "scene/turn/reference")
     (folder / "scene/turn/ceiling.json").write_text(json.dumps(numbers))
     for method in METHODS:
         for mode in modes:
-            _run(folder, modes[mode], method, start).save(folder / f"item/{mode}-{method}")
+            _run(folder, modes[mode], method, recipe).save(folder / f"item/{mode}-{method}")
     return folder
 
 
-def _run(folder, mode, method, start):
-    return run_mode(mode, setup(start, method), scenes_in(folder / "scene"))
+def _run(folder, mode, method, recipe):
+    return run_mode(mode, setup(recipe, method), scenes_in(folder / "scene"))
 
 
 @pytest.fixture(scope="module")
@@ -128,8 +128,8 @@ def test_a_single_frame_has_no_trajectory_but_an_avatar(suite):
     assert rows(suite, "direction", "agnostic")["refused"] is None
 
 
-def test_the_same_item_twice_is_the_same_bytes(suite, modes, start):
-    again = _run(suite, modes["seeds"], "lean", start)
+def test_the_same_item_twice_is_the_same_bytes(suite, modes, recipe):
+    again = _run(suite, modes["seeds"], "lean", recipe)
     assert again.rows["seed 0"]["digest"] == rows(suite, "seeds", "lean")["digest"]
 
 
@@ -170,18 +170,18 @@ def test_rules_need_the_clean_scene(modes, tmp_path):
         report_stability(modes, tmp_path, tmp_path)
 
 
-def test_a_crash_is_kept_as_a_finding(suite, start, monkeypatch, modes, caplog):
+def test_a_crash_is_kept_as_a_finding(suite, recipe, monkeypatch, modes, caplog):
     def fall(*_, **__):
         raise IndexError("off the end")
 
     monkeypatch.setattr("benchmarks.stress.suite.fit_method", fall)
     with caplog.at_level(logging.CRITICAL):
-        item = _run(suite, modes["seeds"], "lean", start)
+        item = _run(suite, modes["seeds"], "lean", recipe)
     assert item.rows["seed 0"]["crashed"] == "IndexError: off the end"
     assert item.worst is None
 
 
-def test_several_draws_are_averaged_and_the_worst_one_is_shown(suite, start, modes, caplog):
+def test_several_draws_are_averaged_and_the_worst_one_is_shown(suite, recipe, modes, caplog):
     def severity(**fit):
         return SeverityParams(scene="turn", damage={}, fit=fit)
 
@@ -191,7 +191,7 @@ def test_several_draws_are_averaged_and_the_worst_one_is_shown(suite, start, mod
         "both": severity(seed=1.0, draws=2.0),
     }
     with caplog.at_level(logging.CRITICAL):
-        item = _run(suite, ModeParams(title="x", severities=asked), "lean", start)
+        item = _run(suite, ModeParams(title="x", severities=asked), "lean", recipe)
     first, second, both = item.rows.values()
     assert both["scores"] == [first["score"], second["score"]]
     assert first["score"] != second["score"]
@@ -200,14 +200,14 @@ def test_several_draws_are_averaged_and_the_worst_one_is_shown(suite, start, mod
     assert item.worst.numbers["score"] == min(both["scores"])
 
 
-def test_the_same_recipe_on_sharp_frames_stands_beside(suite, start, modes):
+def test_the_same_recipe_on_sharp_frames_stands_beside(suite, recipe, modes):
     severity = SeverityParams(scene="turn", damage={}, fit={"oracle": 1.0, "draws": 2.0})
     mode = ModeParams(title="x", severities={"a": severity})
-    agnostic = _run(suite, mode, "agnostic", start).rows["a"]
+    agnostic = _run(suite, mode, "agnostic", recipe).rows["a"]
     assert len(agnostic["oracle"]["scores"]) == 2
     assert agnostic["oracle"]["digest"] != agnostic["digest"]
     assert agnostic["oracle"]["initial_joint_error_mm"] == agnostic["initial_joint_error_mm"]
-    assert "oracle" not in _run(suite, mode, "lean", start).rows["a"]
+    assert "oracle" not in _run(suite, mode, "lean", recipe).rows["a"]
 
 
 def test_what_one_draw_could_not_measure_has_no_mean():
@@ -217,23 +217,24 @@ def test_what_one_draw_could_not_measure_has_no_mean():
     assert row == {"score": 2.0, "a": None, "b": False, "scores": [1.0, 3.0]}
 
 
-def test_what_a_severity_asks_for_must_exist(suite, start, modes):
+def test_what_a_severity_asks_for_must_exist(suite, recipe, modes):
     severity = SeverityParams(scene="turn", damage={}, fit={"speed": 1.0})
     with pytest.raises(ConfigError, match="fit has no \\['speed'\\]"):
-        _run(suite, ModeParams(title="x", severities={"a": severity}), "lean", start)
+        _run(suite, ModeParams(title="x", severities={"a": severity}), "lean", recipe)
 
 
-def test_a_method_without_a_shutter_is_left_out(suite, start):
+def test_a_method_without_a_shutter_is_left_out(suite, recipe):
     severity = SeverityParams(scene="turn", damage={}, fit={"estimated_shutter": 1.0})
-    item = _run(suite, ModeParams(title="x", severities={"a": severity}), "agnostic", start)
+    item = _run(suite, ModeParams(title="x", severities={"a": severity}), "agnostic", recipe)
     assert list(item.rows["a"]) == ["skipped"]
 
 
-def test_an_estimated_shutter_is_told(suite, start):
+def test_an_estimated_shutter_is_told(suite, recipe):
     severity = SeverityParams(
-        scene="turn", damage={"shutter_times": 2.0}, fit={"estimated_shutter": 1.0}
-    )
-    item = _run(suite, ModeParams(title="x", severities={"a": severity}), "lean", start)
+        scene="turn", damage={"shutter_times": 2.0},
+        fit={"estimated_shutter": 0.02, "shutter_weight": 1e-3},
+    )  # fmt: skip
+    item = _run(suite, ModeParams(title="x", severities={"a": severity}), "lean", recipe)
     row = item.rows["a"]
     assert row["given_exposure_s"] == pytest.approx(2 * 17 / 480)
     assert 0 < row["shutter_s"] != row["given_exposure_s"]

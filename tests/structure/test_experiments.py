@@ -47,7 +47,7 @@ def test_places_are_where_things_are(folder):
     places, own = load_params(folder / PARAMS, "from", PlacesParams), read(folder / PARAMS)
     up = os.path.relpath(ROOT, folder)
     assert places.root == up
-    for section in ("schedules", "starts", "methods", "check"):
+    for section in ("schedules", "avatars", "methods", "check"):
         file = folder / PARAMS
         while section not in read(file):
             file = file.parent / read(file)["shared"]
@@ -146,7 +146,7 @@ def test_the_ablations_are_the_papers_once_a_seed():
 
 def test_lean_is_taken_apart_as_it_is_at_the_root():
     root, experiment = read_params(ROOT / PARAMS), read_params(ROOT / "experiments/lean" / PARAMS)
-    for section, names in (("starts", ["lean"]), ("methods", ["lean", *BOUNDED])):
+    for section, names in (("avatars", ["lean"]), ("methods", ["lean", *BOUNDED])):
         for name in names:
             assert experiment[section][name] == root[section][name]
     scenes = experiment["scenes"]
@@ -158,12 +158,12 @@ def test_lean_is_taken_apart_as_it_is_at_the_root():
         assert ran == set(experiment["methods"])
 
 
-def test_what_stands_in_for_lpips_is_compared_on_the_root_s_starts():
+def test_what_stands_in_for_lpips_is_compared_on_the_root_s_avatars():
     root = read_params(ROOT / PARAMS)
     experiment = read_params(ROOT / "experiments/structure" / PARAMS)
-    paper = root["starts"]["paper"]
+    paper = root["avatars"]["paper"]
     paper["losses"]["lpips"] = 0.0
-    assert experiment["starts"]["paper_edges"] == paper
-    assert experiment["starts"]["lean_edges"] == root["starts"]["lean"]
+    assert experiment["avatars"]["paper_edges"] == paper
+    assert experiment["avatars"]["lean_edges"] == root["avatars"]["lean"]
     assert experiment["methods"]["paper_edges"] == root["methods"]["agnostic"]
     assert experiment["methods"]["lean_edges"] == root["methods"]["lean"]

@@ -153,7 +153,7 @@ def test_runs_and_warmups_are_named_after_what_they_are():
     for name, run in PARAMETERS["runs"].items():
         assert name == f"{run['scene']}-{run['method']}"
     for name, warmup in PARAMETERS["warmups"].items():
-        assert name == f"{warmup['scene']}-{warmup['observations']}-{warmup['start']}"
+        assert name == f"{warmup['scene']}-{warmup['observations']}-{warmup['avatar']}"
 
 
 def test_every_script_is_a_stage_and_has_its_module():

@@ -1,30 +1,86 @@
 import pytest
 import torch
 
+from deblur_avatar.avatars.avatar import Rendering
 from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.motion.trajectory import instants
-from deblur_avatar.training.supervision import shares, still_frames
+from deblur_avatar.training.supervision import MASKS, SUPERVISIONS, Exposure, still_frames
+
+C, B, S = 0.2, 0.6, 3  # grey levels of the sharp and the averaged render, instants
+SHARE = 0.25  # of B in F
 
 
-@pytest.mark.parametrize("supervision", ["sharp", "mean", "fused"])
-def test_a_plain_supervision_compares_one_render_throughout(supervision):
+def rendered(level, alphas, count):
+    """A picture of one level, and coverage."""
+    image = torch.full((len(alphas), 2, 2, 3), level)
+    return Rendering(image, torch.tensor(alphas)[:, None, None].expand(-1, 2, 2), count, None)
+
+
+EXPOSURE = Exposure(rendered(B, [0.0, 0.5, 1.0], S), rendered(C, [0.4], 1))
+
+
+def compared(name, iteration, still, blended, exposure=EXPOSURE):
+    """Shares and levels of what is compared, and what the fusion network saw."""
+    seen = []
+
+    def blend(render):
+        seen.append(float(render.mean()))
+        return torch.full((2, 2, 1), SHARE)
+
+    found = SUPERVISIONS[name].compared(
+        exposure, blend if blended else None, float(iteration), lambda: still
+    )
+    return [(share, pytest.approx(float(image.mean()))) for share, image in found], seen
+
+
+@pytest.mark.parametrize(("name", "level"), [("mean", B), ("fused", (1 - SHARE) * C + SHARE * B)])
+def test_a_plain_supervision_compares_one_render_throughout(name, level):
     for iteration in (0, 4000, 14000):
-        assert shares(supervision, float(iteration), False, True) == {supervision: 1.0}
+        assert compared(name, iteration, False, True)[0] == [(1.0, level)]
+
+
+def test_without_an_exposure_the_middle_is_compared():
+    still = Exposure(rendered(C, [0.4], 1), None)
+    assert compared("sharp", 0, False, False, still)[0] == [(1.0, C)]
+    assert not SUPERVISIONS["sharp"].averages
+
+
+def test_the_fusion_network_sees_the_sharp_render_and_the_released_one_the_mean():
+    assert compared("fused", 9000, False, True)[1] == [pytest.approx(C)]
+    assert compared("released", 9000, False, True)[1] == [pytest.approx(RELEASED_B)]
+
+
+RELEASED_B = (S * B + C) / (S + 1)  # the sharp render is one more instant
+RELEASED_F = (1 - SHARE) * C + SHARE * RELEASED_B
 
 
 @pytest.mark.parametrize(
     ("iteration", "still", "wanted"),
     [
-        (3001, False, {"sharp": 1.0, "mean": 1.0}),
-        (4999, True, {"sharp": 1.0, "mean": 1.0}),
-        (5000, False, {"sharp": 0.1}),
-        (6999, True, {"sharp": 1.0}),
-        (7000, False, {"sharp": 0.1, "fused": 1.0}),
-        (15000, True, {"sharp": 1.0, "fused": 1.0}),
+        (3001, False, [(1.0, C), (1.0, RELEASED_B)]),
+        (4999, True, [(1.0, C), (1.0, RELEASED_B)]),
+        (5000, False, [(0.1, C)]),
+        (6999, True, [(1.0, C)]),
+        (7000, False, [(0.1, C), (1.0, RELEASED_F)]),
+        (15000, True, [(1.0, C), (1.0, RELEASED_F)]),
     ],
 )
 def test_the_released_code_changes_what_it_compares(iteration, still, wanted):
-    assert shares("released", float(iteration), still, blended=iteration >= 7000) == wanted
+    assert compared("released", iteration, still, blended=iteration >= 7000)[0] == wanted
+
+
+@pytest.mark.parametrize(
+    ("mask", "supervision", "covered"),
+    [
+        ("mean", "mean", 0.5),
+        ("union", "mean", 1.0),
+        ("centre", "mean", 0.4),
+        ("mean", "released", (3 * 0.5 + 0.4) / 4),
+    ],
+)
+def test_coverage_is_that_of_the_instants_or_of_the_middle(mask, supervision, covered):
+    found = MASKS[mask].of(EXPOSURE, SUPERVISIONS[supervision])
+    torch.testing.assert_close(found, torch.full((2, 2), covered))
 
 
 def test_a_tenth_of_the_frames_are_still_those_that_turn_least(swinging):

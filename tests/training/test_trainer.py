@@ -6,9 +6,9 @@ import torch
 
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.artifacts.checkpoint import Checkpoint
-from deblur_avatar.avatars import model as model_module
-from deblur_avatar.avatars.model import AvatarModel, render_avatar
-from deblur_avatar.avatars.params import ModelParams
+from deblur_avatar.avatars import networks_avatar, splats
+from deblur_avatar.avatars.kinds import AVATARS, avatar_from_artifact
+from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import Camera
@@ -16,16 +16,18 @@ from deblur_avatar.imaging import lpips
 from deblur_avatar.motion.kinds import KINDS, trajectory_from_artifact
 from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.motion.trajectory import instants
-from deblur_avatar.training import objective
-from deblur_avatar.training import trainer as avatar_fit
-from deblur_avatar.training.fusion_network import FusionNetwork
+from deblur_avatar.training.fusion_network import FusionNetwork, FusionNetworkParams
+from deblur_avatar.training.params import FitParams
 from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit
+from tests.changed_parameters import changed
 
 pytestmark = pytest.mark.portable
 
 CPU = torch.device("cpu")
-PLAIN = ModelParams(nonrigid=None, skinning=None, color=None)
+FUSION = FusionNetworkParams(
+    precision="bfloat16", hidden=(8,), frame_codes=4, color_features=4, pose=True, rate=5e-4
+)
 
 
 def seeded(seed):
@@ -36,57 +38,57 @@ def quiet(iteration, terms):
     pass
 
 
-def changed(params, section, **values):
-    return params.model_copy(update={section: getattr(params, section).model_copy(update=values)})
-
-
 def paced(schedule, last):
     """A schedule on which a run ends at `last`."""
     return schedule.model_copy(update={"warmup": 1, "trajectory": 2, "fusion": last})
 
 
-def start_of(kind, noise):
+def motion_of(kind, noise, **changes):
     """Parameters of any kind of trajectory, with five instants where it has several."""
     values = {
         "virtual_poses": 5, "quadrature": "endpoints", "start_noise": noise,
-        "pixels_per_pose": 0.0, "shutter": "given", "knot_frames": 1.0, "finest_knot_frames": 1.0,
-        "finer_knots_gain": 0.0, "smoothness": 0.0,
+        "pixels_per_pose": 0.0, "shutter": {"kind": "given"}, "knot_frames": 1.0,
+        "finest_knot_frames": 1.0, "finer_knots_gain": 0.0, "smoothness": 0.0,
+        "rates": {"poses": 1e-3, "transl": 1e-4},
+        "priors": {"anchor": 0.0, "depth": 0.0},
     }  # fmt: skip
+    values |= changes
     fields = KINDS[kind].Params.model_fields.keys() & values.keys()
     return KINDS[kind].Params(kind=kind, **{name: values[name] for name in fields})
 
 
 @pytest.fixture
-def begin(observations, start, schedule):
+def begin(observations, recipe, schedule):
     """Build a fit from scratch, the same one for the same arguments."""
 
     def make(
-        params=start, motion="fixed", noise=0.05, last=18, seen=observations, fused=False, count=80
-    ):
+        params=recipe, motion="fixed", noise=0.05, last=18, seen=observations, fused=False,
+        count=80, **moves,
+    ):  # fmt: skip
         torch.manual_seed(0)
         generator = torch.Generator().manual_seed(0)
-        model = AvatarModel.create(
+        model = AVATARS[params.model.kind].create(
             params.model, seen.body, seen.poses.betas, len(seen.frames), count, seen.light,
             generator,
         )  # fmt: skip
-        section = start_of(motion, noise)
+        section = motion_of(motion, noise, **moves)
         apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
         trajectory = KINDS[motion].create(seen, section, apart)
-        network = None
-        if fused:
-            network = FusionNetwork(
-                model.pose_encoder.size, len(seen.frames), 4, 4, [8], params.model.precision
-            )
-        return AvatarFit(
-            model, trajectory, seen, params, paced(schedule, last), CPU, generator, network
+        blend = FUSION if fused else None
+        network = blend and FusionNetwork(
+            model.pose_code_size, len(seen.frames), 4, 4, [8], params.model.precision
         )
+        fitted = FitParams(
+            recipe=params, motion=section, schedule=paced(schedule, last), fusion=blend
+        )
+        return AvatarFit(model, trajectory, seen, fitted, CPU, generator, network)
 
     return make
 
 
 def everything(fit):
     """All unknowns of a fit, cloned."""
-    parts = {"model": fit.model, "motion": fit.trajectory}
+    parts = {"model": fit.avatar, "motion": fit.trajectory}
     return {
         f"{part}.{name}": value.detach().clone()
         for part, module in parts.items()
@@ -100,8 +102,11 @@ def moved(before, after):
 
 def hurried(params):
     """Rates at which sixty steps are enough to see something."""
-    rates = {"color": 0.02, "rigid": 0.01, "features": 0.1, "opacities": 0.2, "scales": 0.02}
-    return changed(params, "optimiser", **rates)
+    params = changed(params, "fitting.rates", features=0.1, opacities=0.2, scales=0.02)
+    if params.model.kind == "plain":
+        return params
+    params = changed(params, "fitting.color", rate=0.02)
+    return changed(params, "fitting.skinning", rate=0.01)
 
 
 @pytest.fixture
@@ -125,20 +130,22 @@ def lpips_weights(tmp_path, monkeypatch):
 
 @pytest.fixture
 def quick_pretraining(monkeypatch):
-    monkeypatch.setattr(avatar_fit, "PRETRAIN_SAMPLES", 256)
-    monkeypatch.setattr(avatar_fit, "PRETRAIN_RATE", 0.02)
+    monkeypatch.setattr(networks_avatar, "PRETRAIN_SAMPLES", 256)
+    monkeypatch.setattr(networks_avatar, "PRETRAIN_RATE", 0.02)
 
 
 def only(params, **weights):
     """No term but those given."""
-    none = dict.fromkeys(type(params.losses).model_fields, 0.0)
-    return changed(params, "losses", **(none | weights))
+    params = params.model_copy(update={"losses": dict.fromkeys(params.losses, 0.0) | weights})
+    if params.model.kind == "plain":
+        return params
+    params = changed(params, "fitting.regularisers", isometry_means=0.0, isometry_covars=0.0)
+    return changed(params, "fitting.skinning", early=0.0, late=0.0)
 
 
 @pytest.mark.usefixtures("lpips_weights")
-def test_lpips_falls_and_moves_the_avatar_where_its_weights_are_given(begin, start):
-    bare = changed(hurried(start), "optimiser", gaussians_start=0)
-    params = only(bare.model_copy(update={"model": PLAIN}), lpips=1.0, structure=0.1)
+def test_lpips_falls_and_moves_the_avatar_where_its_weights_are_given(begin, plain_recipe):
+    params = only(hurried(plain_recipe), lpips=1.0, structure=0.1)
     fit = begin(params=params, last=24)
     before, terms = everything(fit), []
     fit.run(1, 24, "sharp", "mean", lambda _, found: terms.append(found))
@@ -150,12 +157,12 @@ def test_lpips_falls_and_moves_the_avatar_where_its_weights_are_given(begin, sta
     assert fit.cost(1.0)["perceptual"] == "lpips_vgg"
 
 
-def test_without_its_weights_lpips_changes_nothing(begin, start, monkeypatch):
+def test_without_its_weights_lpips_changes_nothing(begin, recipe, monkeypatch):
     for variable in (lpips.WEIGHTS_VARIABLE, lpips.HEADS_VARIABLE):
         monkeypatch.delenv(variable, raising=False)
     results = []
     for weight in (0.0, 0.01):
-        fit = begin(params=changed(start, "losses", lpips=weight), last=6)
+        fit = begin(params=changed(recipe, "losses", lpips=weight), last=6)
         fit.run(1, 6, "sharp", "mean", quiet)
         results.append(everything(fit))
         assert fit.cost(1.0)["perceptual"] == "edges"
@@ -163,9 +170,10 @@ def test_without_its_weights_lpips_changes_nothing(begin, start, monkeypatch):
 
 
 @pytest.mark.usefixtures("quick_pretraining")
-def test_fitting_makes_pictures_like_the_frames(begin, observations, start):
-    fit = begin(params=hurried(start), count=150, last=60)
-    fit.pretrain_skinning(100)
+def test_fitting_makes_pictures_like_the_frames(begin, observations, recipe):
+    params = changed(hurried(recipe), "model.skinning", pretrain=100)
+    fit = begin(params=params, count=150, last=60)
+    fit.avatar.pretrain(fit._generator)
     losses = []
     fit.run(1, 60, "sharp", "mean", lambda _, terms: losses.append(terms))
     assert set(losses[0]) == {
@@ -174,24 +182,24 @@ def test_fitting_makes_pictures_like_the_frames(begin, observations, start):
     first, last = (sum(t["l1"] for t in part) / 4 for part in (losses[:4], losses[-4:]))
     assert last < 0.5 * first
     camera = observations.cameras
-    images, _ = render_avatar(fit.model, observations.poses, camera.camera(0))
+    images, _ = render_avatar(fit.avatar, observations.poses, camera.camera(0))
     error = (images[0] - observations.frames[0] / 255).abs().mean()
     black = (observations.frames[0] / 255).mean()
     assert error < 0.4 * black
 
 
 @pytest.mark.usefixtures("quick_pretraining")
-def test_pretraining_teaches_the_bodys_own_weights(begin):
-    fit = begin()
-    before = fit.objective.skinning_apart(1000).item()
-    fit.pretrain_skinning(100)
-    assert fit.objective.skinning_apart(1000).item() < 0.6 * before
+def test_pretraining_teaches_the_bodys_own_weights(begin, recipe):
+    avatar = begin(params=changed(recipe, "model.skinning", pretrain=100)).avatar
+    before = avatar.skinning_distance(1000, seeded(1)).item()
+    avatar.pretrain(seeded(0))
+    assert avatar.skinning_distance(1000, seeded(1)).item() < 0.6 * before
 
 
-def test_without_a_skinning_network_there_is_nothing_to_pretrain(begin, start):
-    fit = begin(params=start.model_copy(update={"model": PLAIN}))
+def test_without_a_skinning_network_there_is_nothing_to_pretrain(begin, plain_recipe):
+    fit = begin(params=plain_recipe)
     before = everything(fit)
-    fit.pretrain_skinning(3)
+    fit.avatar.pretrain(seeded(0))
     assert not moved(before, everything(fit))
 
 
@@ -205,7 +213,7 @@ def test_equal_seeds_fit_equally_bit_for_bit(begin):
     assert not moved(*results)
 
 
-def test_gaussians_wait_for_the_networks(begin, start):
+def test_gaussians_wait_for_the_networks(begin, recipe):
     fit = begin(last=15)  # starts at 1000 of the paper's 15,000: after iteration 1
     before = everything(fit)
     fit.run(1, 1, "sharp", "mean", quiet)
@@ -219,13 +227,13 @@ def test_the_non_rigid_network_waits_for_the_skinning(begin):
     fit = begin(last=15)  # starts at 3000 of the paper's 15,000: after iteration 3
     before = everything(fit)
     fit.run(1, 3, "sharp", "mean", quiet)
-    assert not any("nonrigid" in name for name in moved(before, everything(fit)))
+    assert not any("deformation" in name for name in moved(before, everything(fit)))
     fit.run(4, 4, "sharp", "mean", quiet)
-    assert any("nonrigid" in name for name in moved(before, everything(fit)))
+    assert any("deformation" in name for name in moved(before, everything(fit)))
 
 
-def test_the_skinning_loss_weighs_a_hundredth_after_the_switch(begin, start):
-    params = changed(start, "optimiser", rigid=1e-12, skinning_switch=5000)
+def test_the_skinning_loss_weighs_a_hundredth_after_the_switch(begin, recipe):
+    params = changed(recipe, "fitting.skinning", rate=1e-12, switch=5000)
     terms = []
     begin(params=params, last=6).run(1, 4, "sharp", "mean", lambda _, t: terms.append(t))
     early, late = terms[1]["skinning"], terms[2]["skinning"]
@@ -267,7 +275,7 @@ def test_frames_set_aside_and_frames_without_a_person_are_not_fitted(begin, shar
 def test_frames_that_were_not_fitted_are_coloured_like_their_neighbours(begin, sharpened):
     fit = begin(seen=sharpened(train=(0, 1), validation=(3,)))
     fit.run(1, 2, "sharp", "mean", quiet)
-    codes = fit.model.color.latents.weight
+    codes = fit.avatar.color_network.latents.weight
     assert not torch.equal(codes[0], codes[1])
     assert torch.equal(codes[2:], codes[1].expand(3, 2))
 
@@ -290,8 +298,8 @@ def test_a_pair_with_equal_ends_is_pulled_alike_at_both_and_noise_tells_them_apa
     for noise in (0.0, 0.05):
         fit = begin(motion="pair", noise=noise, count=150)
         fit.step(1, "mean", "mean")
-        start, end = memory(fit, "motion.start"), memory(fit, "motion.end")
-        apart = (start - end).abs().max() / start.abs().max()
+        recipe, end = memory(fit, "motion.start"), memory(fit, "motion.end")
+        apart = (recipe - end).abs().max() / recipe.abs().max()
         assert apart < 1e-5 if noise == 0 else apart > 1e-3
 
 
@@ -302,7 +310,7 @@ def test_a_still_body_does_not_blur(begin, mask):
     assert still == pytest.approx(sharp, rel=1e-4)
 
 
-def test_union_covers_more_than_the_mean(begin, start, sharpened):
+def test_union_covers_more_than_the_mean(begin, recipe, sharpened):
     """Against an empty matte (but for one pixel) the mask's loss is what is covered."""
     mattes = torch.zeros(5, 24, 24, dtype=torch.uint8)
     mattes[:, 12, 12] = 1
@@ -356,9 +364,9 @@ def test_the_released_code_compares_sharp_and_mean_then_sharp_and_fused(begin, f
     assert all(value == value for value in terms.values())
 
 
-def test_the_averaged_render_is_part_of_the_released_blend_without_gradient(begin, start):
+def test_the_averaged_render_is_part_of_the_released_blend_without_gradient(begin, recipe):
     """Held to pictures alone, the pair inside an exposure has nothing to learn from then."""
-    params = only(start, l1=1.0)
+    params = only(recipe, l1=1.0)
 
     def moved_by(supervision):
         fit = begin(params=params, motion="released", noise=0.3, fused=True, last=150)
@@ -386,8 +394,8 @@ def test_light_is_averaged_before_it_is_encoded(begin, sharpened):
     assert terms["linear"]["mask"] == pytest.approx(terms["srgb"]["mask"])
 
 
-def test_network_gradients_are_clipped_together_and_poses_are_not(begin, start):
-    params = changed(start, "optimiser", clip=1e-3)
+def test_network_gradients_are_clipped_together_and_poses_are_not(begin, recipe):
+    params = changed(recipe, "fitting", max_norm=1e-3)
     fit = begin(params=params, motion="pair")
     fit.step(1, "mean", "mean")
     tensors = fit.checkpoint(1).tensors
@@ -407,60 +415,68 @@ def each(fit, setting):
     """A setting of the optimisers by the unknown's name."""
     return {
         name: group[setting]
-        for optimiser in fit.descent.optimisers().values()
-        for group in optimiser.param_groups
+        for optimizer in fit.optimizers.all().values()
+        for group in optimizer.param_groups
         for name in group["names"]
     }
 
 
-def test_learning_rates_fall_as_the_papers_do(begin, start):
+def test_learning_rates_fall_as_the_papers_do(begin, recipe):
     fit = begin(motion="pair", fused=True, last=20)
     fit.step(20, "fused", "mean")
     rates = each(fit, "lr")
-    base = start.optimiser
-    assert rates["means"] == pytest.approx((base.means * base.means_final) ** 0.5)
-    assert rates["quats"] == base.quats
-    assert rates["network.nonrigid.last.weight"] == pytest.approx(0.1 * base.nonrigid)
-    assert rates["network.skinning.network.last.weight"] == pytest.approx(0.1 * base.rigid)
-    assert rates["motion.start"] == pytest.approx(0.1 * base.poses)
-    assert rates["motion.start_transl"] == pytest.approx(0.1 * base.transl)
-    assert rates["fusion.look.weight"] == base.fusion
+    base = recipe.fitting
+    means = base.rates.means * base.rates.means_final
+    assert rates["means"] == pytest.approx(means**0.5)
+    assert rates["quats"] == base.rates.quats
+    assert rates["network.nonrigid.last.weight"] == pytest.approx(0.1 * base.nonrigid.rate)
+    assert rates["network.skinning.network.last.weight"] == pytest.approx(0.1 * base.skinning.rate)
+    assert rates["motion.start"] == pytest.approx(0.1 * 1e-3)
+    assert rates["motion.start_transl"] == pytest.approx(0.1 * 1e-4)
+    assert rates["fusion.look.weight"] == FUSION.rate
 
 
-def test_only_the_latent_codes_of_frames_decay(begin, start):
+def test_only_the_latent_codes_of_frames_decay(begin, recipe):
     fit = begin()
     decays = each(fit, "weight_decay")
-    assert decays.pop("network.color.latents.weight") == start.optimiser.latent_decay
+    assert decays.pop("network.color.latents.weight") == recipe.fitting.color.latent_decay
     assert set(decays.values()) == {0.0}
 
 
-def densifying(start):
+def densifying(recipe):
     """Every step adds what is pulled at all; nothing is dropped."""
-    return changed(without_densification(start), "densify", start=1, every=1, gradient=1e-12)
-
-
-def without_densification(start):
-    """No gradient is as large as that, no Gaussian as faint or as wide."""
     return changed(
-        start, "densify", gradient=100.0, prune_opacity=0.0, prune_scale_m=100.0, most=2.0
+        without_densification(recipe), "fitting.densify", start=1, every=1, gradient=1e-12
     )
 
 
-def test_gaussians_are_added_between_start_and_stop(begin, start):
+def without_densification(recipe):
+    """No gradient is as large as that, no Gaussian as faint or as wide."""
+    return changed(
+        recipe,
+        "fitting.densify",
+        gradient=100.0,
+        prune_opacity=0.0,
+        prune_scale_m=100.0,
+        max_growth=2.0,
+    )
+
+
+def test_gaussians_are_added_between_start_and_stop(begin, recipe):
     # From 5,000 to 10,000 of the paper's 15,000: after iteration 5 and before 10.
-    params = changed(densifying(start), "densify", start=5000, most=99.0)
+    params = changed(densifying(recipe), "fitting.densify", start=5000, max_growth=99.0)
     fit = begin(params=params, last=15)
     counts = []
-    fit.run(1, 12, "sharp", "mean", lambda *_: counts.append(len(fit.model.gaussians)))
+    fit.run(1, 12, "sharp", "mean", lambda *_: counts.append(len(fit.avatar.gaussians)))
     assert counts[:5] == [80] * 5
     assert 80 < counts[5] < counts[6] < counts[7] < counts[8]
     assert counts[8:] == [counts[8]] * 4
 
 
-def test_gaussians_are_added_up_to_the_cap(begin, start):
-    fit = begin(params=densifying(start), last=15)
+def test_gaussians_are_added_up_to_the_cap(begin, recipe):
+    fit = begin(params=densifying(recipe), last=15)
     fit.run(1, 5, "sharp", "mean", quiet)
-    assert len(fit.model.gaussians) == 160
+    assert len(fit.avatar.gaussians) == 160
 
 
 @pytest.fixture
@@ -477,19 +493,25 @@ def look_ups(monkeypatch):
 
         monkeypatch.setattr(module, name, watched)
 
-    watch(objective, "neighbour_indices")
-    watch(model_module, "surface_weights")
+    watch(splats, "neighbour_indices")
+    watch(splats, "surface_weights")
     return made
 
 
 BOTH = ["neighbour_indices", "surface_weights"]
 
 
+@pytest.fixture
+def held_alike(plain_recipe):
+    """An avatar that looks up both neighbours and places on the body, of a constant number."""
+    params = changed(plain_recipe, "fitting.regularisers", smooth_colors=0.1)
+    return without_densification(params)
+
+
 def test_gaussians_are_looked_up_again_after_an_edit_even_if_their_number_is_the_same(
-    begin, start, look_ups
+    begin, held_alike, look_ups
 ):
-    params = start.model_copy(update={"model": PLAIN})
-    params = changed(without_densification(params), "densify", start=1, every=2000)
+    params = changed(held_alike, "fitting.densify", start=1, every=2000)
     fit = begin(params=params, last=15)
     fit.run(1, 2, "sharp", "mean", quiet)  # the second step edits, and changes nothing
     assert sorted(look_ups) == BOTH
@@ -497,9 +519,8 @@ def test_gaussians_are_looked_up_again_after_an_edit_even_if_their_number_is_the
     assert sorted(look_ups) == sorted(2 * BOTH)
 
 
-def test_gaussians_are_looked_up_again_every_hundred_steps(begin, start, look_ups):
-    params = without_densification(start.model_copy(update={"model": PLAIN}))
-    fit = begin(params=params, last=15_000)
+def test_gaussians_are_looked_up_again_every_hundred_steps(begin, held_alike, look_ups):
+    fit = begin(params=held_alike, last=15_000)
     fit.run(98, 99, "sharp", "mean", quiet)
     assert sorted(look_ups) == BOTH
     fit.run(100, 101, "sharp", "mean", quiet)
@@ -508,29 +529,30 @@ def test_gaussians_are_looked_up_again_every_hundred_steps(begin, start, look_up
 
 def continued(fit, motion, checkpoint, seen, params, schedule, last):
     """A new fit that knows only what was saved, and where random draws stood."""
-    model = AvatarModel.from_artifact(fit.model.to_artifact(checkpoint.iteration), seen.body, CPU)
+    model = avatar_from_artifact(fit.avatar.to_artifact(checkpoint.iteration), seen.body, CPU)
     generator = torch.Generator()
     generator.set_state(fit._generator.get_state())
-    again = AvatarFit(
-        model, trajectory_from_artifact(motion), seen, params, paced(schedule, last), CPU, generator
+    fitted = FitParams(
+        recipe=params, motion=motion_of(motion.kind, 0.0), schedule=paced(schedule, last)
     )
+    again = AvatarFit(model, trajectory_from_artifact(motion), seen, fitted, CPU, generator)
     again.restore(checkpoint)
     return again
 
 
 @pytest.mark.parametrize("gain", ["none", "frame"])
 def test_a_restored_fit_goes_on_bit_for_bit_as_the_uninterrupted_one(
-    begin, start, schedule, sharpened, tmp_path, gain
+    begin, recipe, schedule, sharpened, tmp_path, gain
 ):
     # Iteration 99 ends a round of three frames, and at 100 neighbours are looked up anyway: order
     # and neighbours are the two things that a checkpoint does not hold.
     seen = sharpened(train=(0, 1, 2))
-    density = {"start": 9500, "every": 400, "stop": 15_000, "gradient": 1e-3, "most": 99.0}
-    params = changed(densifying(start), "densify", **density)
+    density = {"start": 9500, "every": 400, "stop": 15_000, "gradient": 1e-3, "max_growth": 99.0}
+    params = changed(densifying(recipe), "fitting.densify", **density)
     params = params.model_copy(update={"exposure_gain": gain})
     fit = begin(params=params, motion="pair", seen=seen, last=150, count=60)
     fit.run(1, 99, "mean", "mean", quiet)
-    count = len(fit.model.gaussians)
+    count = len(fit.avatar.gaussians)
     fit.checkpoint(99).save(tmp_path / "checkpoint")
     motion = fit.trajectory.to_artifact(seen.poses.betas, seen.timestamps)
     again = continued(
@@ -539,18 +561,18 @@ def test_a_restored_fit_goes_on_bit_for_bit_as_the_uninterrupted_one(
     assert not moved(everything(fit), everything(again))
     for one in (fit, again):
         one.run(100, 106, "mean", "mean", quiet)
-    assert len(fit.model.gaussians) > count  # the densifier has gone on too
+    assert len(fit.avatar.gaussians) > count  # the densifier has gone on too
     assert not moved(everything(fit), everything(again))
 
 
-def test_darker_frames_are_explained_by_a_gain_if_that_is_asked_for(begin, start, sharpened):
+def test_darker_frames_are_explained_by_a_gain_if_that_is_asked_for(begin, recipe, sharpened):
     seen = sharpened(train=(0, 1, 2))
     dim = seen.frames.clone()
     dim[0] = dim[0] // 2
     seen = dataclasses.replace(seen, frames=dim)
     misses = {}
     for gain in ("none", "frame"):
-        params = without_densification(start).model_copy(update={"exposure_gain": gain})
+        params = without_densification(recipe).model_copy(update={"exposure_gain": gain})
         fit = begin(params=params, seen=seen, last=60)
         heard = []
         fit.run(1, 60, "sharp", "mean", lambda _, terms, heard=heard: heard.append(terms["l1"]))
@@ -562,12 +584,12 @@ def test_darker_frames_are_explained_by_a_gain_if_that_is_asked_for(begin, start
     assert misses["frame"] < 0.97 * misses["none"]
 
 
-def test_a_checkpoint_does_not_change_when_fitting_goes_on(begin, start):
-    fit = begin(params=without_densification(start))
+def test_a_checkpoint_does_not_change_when_fitting_goes_on(begin, recipe):
+    fit = begin(params=without_densification(recipe))
     fit.run(1, 3, "sharp", "mean", quiet)
     checkpoint = fit.checkpoint(3)
     before = {name: value.clone() for name, value in checkpoint.tensors.items()}
-    other = begin(params=without_densification(start))
+    other = begin(params=without_densification(recipe))
     other.restore(checkpoint)
     for one in (fit, other):
         one.run(4, 5, "sharp", "mean", quiet)
@@ -579,8 +601,8 @@ def test_a_checkpoint_of_another_avatar_is_refused(begin):
         begin(count=60).restore(begin().checkpoint(0))
 
 
-def test_unknowns_that_are_new_start_without_memory(begin, start):
-    params = without_densification(start)
+def test_unknowns_that_are_new_start_without_memory(begin, recipe):
+    params = without_densification(recipe)
     fixed, pair = begin(params=params), begin(params=params, motion="pair")
     fixed.run(1, 3, "sharp", "mean", quiet)
     pair.restore(fixed.checkpoint(3))
@@ -591,10 +613,9 @@ def test_unknowns_that_are_new_start_without_memory(begin, start):
     assert all(torch.equal(tensors[name], old[name]) for name in old)
 
 
-def test_a_plain_avatar_at_fixed_poses_can_be_fitted_too(begin, start, observations):
-    params = start.model_copy(update={"model": PLAIN})
+def test_a_plain_avatar_at_fixed_poses_can_be_fitted_too(begin, plain_recipe):
     losses = []
-    fit = begin(params=hurried(params), count=150, last=60)
+    fit = begin(params=hurried(plain_recipe), count=150, last=60)
     fit.run(1, 60, "sharp", "mean", lambda _, terms: losses.append(terms["l1"]))
     assert sum(losses[-4:]) < 0.4 * sum(losses[:4])
 
@@ -603,8 +624,9 @@ def test_time_spent_is_told_in_seconds(begin):
     assert 0 < begin().run(1, 1, "sharp", "mean", quiet) < 60
 
 
-def test_isometry_can_be_switched_off(begin, start):
-    params = changed(start, "losses", isometry_means=0.0, isometry_covars=0.0, structure=0.0)
+def test_isometry_can_be_switched_off(begin, recipe):
+    params = changed(recipe, "fitting.regularisers", isometry_means=0.0, isometry_covars=0.0)
+    params = changed(params, "losses", structure=0.0)
     terms = begin(params=params).step(1, "sharp", "mean")
     assert set(terms) == {"l1", "mask", "skinning"}
 
@@ -620,7 +642,7 @@ def rise(body, betas, first, last):
 
 @pytest.mark.parametrize("noise", [0.05, 0.0])
 def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without_noise(
-    noise, body, painted, swinging, front, start, observations
+    noise, body, painted, swinging, front, plain_recipe, observations
 ):
     size, last, ends = 48, 80 if noise > 0 else 30, swinging(2, 30.0)
     u = instants(16, "midpoints")[:, None]
@@ -646,14 +668,14 @@ def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without
         validation=(),
     )  # fmt: skip
     # The avatar is known; its motion is not.
-    params = start.model_copy(update={"model": PLAIN})
-    params = changed(params, "optimiser", poses=0.02, transl=1e-3, gaussians_start=10**6)
-    params = changed(params, "losses", isometry_means=0.0, isometry_covars=0.0)
-    params = changed(params, "densify", start=15_000)
+    params = changed(plain_recipe, "fitting", gaussians_start=10**6)
+    params = changed(params, "fitting.densify", start=15_000)
+    moves = motion_of("pair", noise, rates={"poses": 0.02, "transl": 1e-3})
     generator = torch.Generator().manual_seed(0)
     motion = PairMotion(seen.poses, instants(5, "midpoints"), noise, generator)
     schedule = ScheduleParams(warmup=1, trajectory=2, fusion=last, gaussians=1, image_height=size)
-    fit = AvatarFit(model, motion, seen, params, schedule, CPU, generator)
+    fitted = FitParams(recipe=params, motion=moves, schedule=schedule)
+    fit = AvatarFit(model, motion, seen, fitted, CPU, generator)
     fit.run(1, last, "mean", "mean", quiet)
     poses = torch.cat([ends.global_orient[:, None], ends.body_pose], 1)
     truth = rise(body, ends.betas, *zip(poses, ends.transl, strict=True))
@@ -667,38 +689,40 @@ def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without
         assert abs(found) < 0.4 * truth  # still near the saddle
 
 
-def test_what_no_picture_shows_takes_after_its_neighbours(begin, start):
+def test_what_no_picture_shows_takes_after_its_neighbours(begin, plain_recipe):
     def unlike_at_the_back(weight: float) -> float:
-        params = changed(
-            start, "losses", even_colors=weight, isometry_means=0.0, isometry_covars=0.0
-        )
-        params = without_densification(params.model_copy(update={"model": PLAIN}))
-        fit = begin(params=changed(params, "optimiser", gaussians_start=0, features=0.1), last=60)
-        features = fit.model.gaussians.features
+        params = changed(plain_recipe, "fitting.regularisers", smooth_colors=weight)
+        params = changed(without_densification(params), "fitting.rates", features=0.1)
+        fit = begin(params=params, last=60)
+        features = fit.avatar.gaussians.features
         with torch.no_grad():
             features.copy_(torch.randn(features.shape, generator=seeded(4)))
         fit.run(1, 60, "sharp", "mean", quiet)
-        apart = features[fit.objective.near()] - features[:, None]
-        hidden = fit.model.gaussians.means[:, 2] < 0
+        apart = features[fit.avatar.neighbours()] - features[:, None]
+        hidden = fit.avatar.gaussians.means[:, 2] < 0
         return float(apart[hidden].abs().mean().detach())
 
     assert unlike_at_the_back(0.1) < 0.7 * unlike_at_the_back(0.0)
 
 
-def test_likeness_is_weighted_and_counts_by_what_is_hidden(begin, start, sharpened):
-    params = changed(start, "losses", even_heights=0.3, even_shapes=0.2, even_colors=0.1)
+def test_smoothness_is_weighted_and_counts_by_what_is_hidden(begin, plain_recipe, sharpened):
+    weights = {"smooth_heights": 0.3, "smooth_shapes": 0.2, "smooth_colors": 0.1}
+    params = changed(plain_recipe, "fitting.regularisers", **weights)
     terms = begin(params=params).step(1, "sharp", "mean")
-    assert {"even_colors", "even_shapes", "even_heights"} <= terms.keys()
-    doubled = changed(params, "losses", even_heights=0.6)
+    assert weights.keys() <= terms.keys()
+    doubled = changed(params, "fitting.regularisers", smooth_heights=0.6)
     again = begin(params=doubled).step(1, "sharp", "mean")
-    assert again["even_heights"] == pytest.approx(2 * terms["even_heights"], rel=1e-5)
-    assert again["even_shapes"] == pytest.approx(terms["even_shapes"], rel=1e-5)
+    assert again["smooth_heights"] == pytest.approx(2 * terms["smooth_heights"], rel=1e-5)
+    assert again["smooth_shapes"] == pytest.approx(terms["smooth_shapes"], rel=1e-5)
     shown = begin(params=params, seen=sharpened(hidden=0.25)).step(1, "sharp", "mean")
-    assert shown["even_shapes"] == pytest.approx(terms["even_shapes"] / 4, rel=1e-5)
+    assert shown["smooth_shapes"] == pytest.approx(terms["smooth_shapes"] / 4, rel=1e-5)
 
 
-def test_steps_towards_the_camera_are_held_back_and_steps_across_are_not(begin, start):
-    fit = begin(params=changed(start, "losses", depth=2.0), motion="clip")
+DEPTH = {"anchor": 0.0, "depth": 2.0}
+
+
+def test_steps_towards_the_camera_are_held_back_and_steps_across_are_not(begin):
+    fit = begin(motion="clip", priors=DEPTH)
     middle = len(fit.trajectory.transl) // 2
 
     def held_back(step: list[float]) -> float:
@@ -715,22 +739,16 @@ def test_steps_towards_the_camera_are_held_back_and_steps_across_are_not(begin, 
     assert held_back([0.0, 0.0, 0.03]) == pytest.approx(2.0 * 0.1**2, rel=1e-4)
 
 
-def test_depth_is_free_where_the_first_poses_do_not_know_it(begin, start, sharpened):
-    params = changed(start, "losses", depth=2.0)
-    fit = begin(params=params, motion="clip", seen=sharpened(depth_known=False))
+def test_depth_is_free_where_the_first_poses_do_not_know_it(begin, sharpened):
+    fit = begin(motion="clip", priors=DEPTH, seen=sharpened(depth_known=False))
     with torch.no_grad():
         fit.trajectory.transl += 0.1
     assert "depth" not in fit.objective.priors(2, fit.trajectory(2))
 
 
-def test_a_frame_that_is_trusted_less_counts_less(begin, start, sharpened, observations):
+def test_a_frame_that_is_trusted_less_counts_less(begin, recipe, sharpened, observations):
     half = sharpened(weights=torch.full_like(observations.weights, 0.5))
     whole, less = (begin(seen=seen).step(1, "sharp", "mean") for seen in (observations, half))
     for name in ("l1", "structure", "mask"):
         assert less[name] == pytest.approx(whole[name] / 2, rel=1e-6)
     assert less["skinning"] == pytest.approx(whole["skinning"], rel=1e-6)
-
-
-def test_motion_that_remembers_no_start_is_not_held_back(begin, start):
-    fit = begin(params=changed(start, "losses", depth=2.0, anchor=1.0), motion="pair")
-    assert fit.objective.priors(2, fit.trajectory(2)) == {}

@@ -8,7 +8,7 @@ from benchmarks.stress.suite import run_mode, scenes_in
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.parameters import MethodParams
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
 
@@ -17,7 +17,7 @@ def main(mode: str, method: str, scenes: Path, out: Path, params_file: Path) -> 
     seed = load_params(params_file, "seed", int)
     with run.stage("stability", f"{mode}-{method}", seed) as context:
         setup = FitSetup(
-            load_params(params_file, "starts.lean", StartParams),
+            load_params(params_file, "avatars.lean", RecipeParams),
             load_params(params_file, f"methods.{method}", MethodParams),
             load_params(params_file, "schedules.suite", ScheduleParams),
             validation_stride=load_params(params_file, "validation_stride", int),

@@ -8,7 +8,7 @@ from benchmarks.stress.scene import film_scene, measure_ceiling
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.parameters import MethodParams
-from deblur_avatar.training.params import StartParams
+from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
 
@@ -19,7 +19,7 @@ def main(scene: str, out: Path, params_file: Path) -> None:
     with run.stage("stability_scene", scene, seed) as context:
         body, clip, reference = film_scene(params, context.generator)
         setup = FitSetup(
-            load_params(params_file, "starts.lean", StartParams),
+            load_params(params_file, "avatars.lean", RecipeParams),
             load_params(params_file, "methods.ceiling", MethodParams),
             load_params(params_file, "schedules.suite", ScheduleParams),
             load_params(params_file, "validation_stride", int),

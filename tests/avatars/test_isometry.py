@@ -4,9 +4,9 @@ import math
 import pytest
 import torch
 
+from deblur_avatar.avatars import isometry as module
+from deblur_avatar.avatars.isometry import isometry, isometry_reference
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.training import isometry as module
-from deblur_avatar.training.isometry import isometry, isometry_reference
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 

@@ -1,6 +1,6 @@
 import torch
 
-from deblur_avatar.training.surface_projection import closest_points, vertex_normals
+from deblur_avatar.avatars.surface_projection import closest_points, vertex_normals
 
 CUBE = torch.tensor([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 SQUARES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))

@@ -1,0 +1,33 @@
+"""Registry of avatars: each kind by the name that it has in `params.yaml` and on disk."""
+
+from typing import Annotated
+
+import torch
+
+from deblur_avatar.artifacts.avatar import Avatar, composition_in_code
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.networks_avatar import NetworksAvatar
+from deblur_avatar.avatars.params import AvatarParams
+from deblur_avatar.avatars.plain_avatar import PlainAvatar
+from deblur_avatar.config.kinds import KindOf
+from deblur_avatar.config.reading import parse
+
+AVATARS: dict[str, type[AvatarModel]] = {
+    avatar.kind: avatar for avatar in (NetworksAvatar, PlainAvatar)
+}
+
+# The section of any kind.
+AnyAvatarParams = Annotated[AvatarParams, KindOf("kind", AVATARS)]
+
+
+def avatar_from_artifact(avatar: Avatar, body: Body, device: torch.device) -> AvatarModel:
+    """Rebuild the avatar that a stage saved.
+
+    Raises:
+        ConfigError: if its composition is not one this version knows.
+        ArtifactError: if its networks are not those of the composition.
+    """
+    said = composition_in_code(avatar.model["params"])
+    params = parse(AnyAvatarParams, said, "avatar model")
+    return AVATARS[params.kind].from_artifact(avatar, params, body).to(device)

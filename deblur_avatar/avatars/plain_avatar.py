@@ -1,0 +1,104 @@
+"""Avatars without networks: one colour a Gaussian, blend weights of the body (`lean`'s)."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
+from deblur_avatar.avatars.params import AvatarParams, FittingParams, SplatFitting
+from deblur_avatar.avatars.regularisers import knn_smoothness
+from deblur_avatar.avatars.splats import SplatAvatar, SplatRendering, SplatState
+from deblur_avatar.avatars.surface_projection import SurfaceProjection, closest_points
+from deblur_avatar.config.section import NonNegative, Params
+from deblur_avatar.rendering.covariance_factors import covariance_factors
+
+COLORS = 3  # raw colours, the logits of what is drawn
+# Metres off the body that weigh like a unit of a raw colour. Not a parameter: a unit, beside the
+# weight of the penalty.
+HEIGHT = 0.01
+
+
+class PlainParams(AvatarParams):
+    """Nothing to choose."""
+
+    kind: Literal["plain"]
+
+
+class SmoothnessParams(Params):
+    """Weights of the k-nearest-neighbour smoothness, of a body of which nothing is seen."""
+
+    smooth_colors: NonNegative  # neighbours' raw colours are alike
+    smooth_shapes: NonNegative  # their raw scales and opacities
+    smooth_heights: NonNegative  # and how far they stand off the body
+
+
+class PlainFitting(SplatFitting):
+    """Gaussians that take after their neighbours."""
+
+    regularisers: SmoothnessParams
+
+    def weights(self, step: TrainingStep, hidden: float) -> Mapping[str, float]:
+        """By the square of what is hidden of the body."""
+        return {name: hidden**2 * value for name, value in self.regularisers.model_dump().items()}
+
+
+class PlainAvatar(SplatAvatar):
+    """Gaussians that move with the body's own blend weights, in colours of their own."""
+
+    kind = "plain"
+    Params: ClassVar[type[AvatarParams]] = PlainParams
+    Fitting: ClassVar[type[FittingParams]] = PlainFitting
+    _feet: SurfaceProjection | None = None
+
+    @staticmethod
+    def features(params: PlainParams) -> int:
+        """Raw colours."""
+        return COLORS
+
+    def condition(
+        self,
+        rotations: Float[Tensor, "J 3 3"],
+        frame: int,
+        transforms: Float[Tensor, "J 4 4"],
+        viewmat: Float[Tensor, "4 4"],
+        step: TrainingStep | None = None,
+    ) -> SplatState:
+        """The canonical Gaussians as they are: no frame differs from another."""
+        gaussians = self.gaussians
+        factors = covariance_factors(gaussians.quats, gaussians.scales)
+        weights = self.weights_at(gaussians.means)
+        colors = gaussians.features[:, :COLORS].sigmoid()
+        return SplatState(frame, None, gaussians.means, factors, weights, colors)
+
+    def regularisers(self, rendering: SplatRendering, step: TrainingStep) -> Regularisers:
+        """Gaussians are like their neighbours, so that those that no frame shows are, too."""
+        gaussians = self.gaussians
+
+        def smooth(values: Tensor) -> Tensor:
+            return knn_smoothness(values, self.neighbours())
+
+        def shapes() -> Tensor:
+            return torch.cat([gaussians.log_scales, gaussians.opacity_logits[:, None]], dim=1)
+
+        def heights() -> Tensor:
+            return self._surface().heights(gaussians.means)[:, None] / HEIGHT
+
+        return {
+            "smooth_colors": lambda: smooth(gaussians.features),
+            "smooth_shapes": lambda: smooth(shapes()),
+            "smooth_heights": lambda: smooth(heights()),
+        }
+
+    def invalidate_neighbours(self) -> None:
+        """Forget where Gaussians stood on the surface, too."""
+        super().invalidate_neighbours()
+        self._feet = None
+
+    def _surface(self) -> SurfaceProjection:
+        if self._feet is None:
+            faces = self.body.faces.to(self.betas.device)
+            self._feet = closest_points(self.gaussians.means, self.canonical_vertices, faces)
+        return self._feet

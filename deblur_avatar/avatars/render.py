@@ -1,0 +1,53 @@
+"""Pictures of an avatar in given poses, without gradients."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.imaging.exposure import encode
+
+
+def render_avatar(
+    model: AvatarModel,
+    poses: Poses,
+    camera: Camera,
+    *,
+    frame: int = -1,
+    background: Float[Tensor, " 3"] | None = None,
+    average: bool = False,
+) -> tuple[Float[Tensor, "B H W 3"], Float[Tensor, "B H W"]]:
+    """Draw an avatar in B poses, each conditioned for itself.
+
+    Args:
+        model: whom to draw.
+        poses: B of them; their shape numbers are ignored in favour of the avatar's.
+        camera: who looks.
+        frame: training position whose latent code colours are drawn with; -1 for the last.
+        background: in the space in which the avatar's light is averaged; black if not given.
+        average: draw the B poses as the instants of one exposure, conditioned for the middle one.
+
+    Returns:
+        sRGB images in [0, 1], and coverage; of one exposure if `average`.
+    """
+    device = model.betas.device
+    camera = camera.to(device)
+    frame = model.frames - 1 if frame < 0 else frame
+    groups = [range(len(poses.transl))] if average else [[i] for i in range(len(poses.transl))]
+    drawn = []
+    with torch.no_grad():
+        turned = axis_angle_to_matrix(poses.axis_angle).to(device)
+        for group in groups:
+            index = torch.tensor(list(group), device=device)
+            rotations = turned[index]
+            transforms = model.transforms(rotations, poses.transl.to(device)[index])
+            middle = len(group) // 2
+            state = model.condition(rotations[middle], frame, transforms[middle], camera.viewmat)
+            drawn.append(
+                model.render(state, transforms, camera, average=average, background=background)
+            )
+    image = torch.cat([one.image for one in drawn])
+    return encode(image, model.light), torch.cat([one.alpha for one in drawn])
