@@ -25,10 +25,8 @@ def main(
     settings, inputs = [recipe, moves, params], [observations, trajectory]
     with fitting_stage("fusion", out, params_file, settings, inputs) as stage:
         fitted, motion, measured = fuse(
-            Observations.load(observations),
-            Avatar.load(trajectory / "avatar"),
-            Motion.load(trajectory / "motion"),
-            Checkpoint.load(trajectory / "checkpoint"),
+            Observations.load(observations), Avatar.load(trajectory / "avatar"),
+            Motion.load(trajectory / "motion"), Checkpoint.load(trajectory / "checkpoint"),
             recipe, moves, params, stage.schedule, device=stage.device, generator=stage.generator,
             report=stage.report, folder=stage.folder,
         )  # fmt: skip
