@@ -71,7 +71,7 @@ def main() -> int:
             write_footage(footage)
             asked = Question(
                 renaming,
-                frozenset(filter(None, arguments.changed.split(","))),
+                tuple(filter(None, arguments.changed.split(","))),
                 frozenset(kinds() - NOT_IN_SMALL),
                 footage_variables(footage, root),
             )

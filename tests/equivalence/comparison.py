@@ -31,7 +31,7 @@ class Comparison:
     """What two versions made of their small cases."""
 
     compared: set[str] = field(default_factory=set)  # jobs of both, by today's names
-    differences: list[str] = field(default_factory=list)  # each with its stage and file
+    differences: list[tuple[str, str]] = field(default_factory=list)  # a job; stage and file
     one_sided: list[str] = field(default_factory=list)  # jobs and values that one version has
     renamed: set[str] = field(default_factory=set)  # stages whose artifacts hold renamed words
 
@@ -86,7 +86,7 @@ def _one_sided(path: str, job: str, *, before: bool, found: Comparison) -> None:
     if is_metrics(path):
         found.one_sided.append(f"{path}: {when}")
     elif job in found.compared:
-        found.differences.append(f"{stage_of(job)}: {path} is there {when} ({job})")
+        found.differences.append((job, f"{stage_of(job)}: {path} is there {when}"))
 
 
 def _compare_file(
@@ -96,13 +96,16 @@ def _compare_file(
         return
     if is_metrics(path):
         values = compared_values(_json(old), _json(new), renaming)
-        found.differences += [f"{stage_of(job)}: {path}: {text}" for text in values.differences]
+        found.differences += [
+            (job, f"{stage_of(job)}: {path}: {text}") for text in values.differences
+        ]
         found.one_sided += [f"{path}: {text}" for text in values.one_sided]
     elif old.read_bytes() != new.read_bytes():
         if path.endswith(".json") and renaming.content(_json(old)) == _json(new):
             found.renamed.add(stage_of(job))
         else:
-            found.differences.append(f"{stage_of(job)}: {path} differs{_where(old, new)} ({job})")
+            line = f"{stage_of(job)}: {path} differs{_where(old, new)}"
+            found.differences.append((job, line))
 
 
 @dataclass(frozen=True)

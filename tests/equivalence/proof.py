@@ -14,7 +14,7 @@ from deblur_avatar.errors import ConfigError
 from tests.equivalence.cases import Job, failures, jobs_of, start
 from tests.equivalence.comparison import Comparison, Side, compare
 from tests.equivalence.coverage import Kind, exercised
-from tests.equivalence.locks import Proven
+from tests.equivalence.locks import Proven, is_named
 from tests.equivalence.names import Renaming
 
 GENERATOR = "deblur_avatar/pipeline/code.py"  # of fingerprints; older trees have none
@@ -77,13 +77,14 @@ class Question:
 
     Args:
         renaming: between the two versions.
-        changed: stages that are said to do something else.
+        changed: stages that are said to do something else, or patterns of their names with items
+            (`evaluate@*-cubic`).
         kinds: which small cases must run.
         variables: of the environment, for footage.
     """
 
     renaming: Renaming
-    changed: frozenset[str]
+    changed: tuple[str, ...]
     kinds: frozenset[Kind]
     variables: dict[str, str]
 
@@ -102,7 +103,7 @@ def prove(there: Trees, asked: Question, say: Callable[[str], None]) -> Proven:
     found = compare(then, now, asked.renaming)
     for line in found.one_sided:
         say(line)
-    refused = [line for line in found.differences if line.partition(":")[0] not in asked.changed]
+    refused = [line for job, line in found.differences if not is_named(job, asked.changed)]
     if refused:
         raise RefusedError("\n".join(refused))
     return _proven(found, now.jobs, asked)
@@ -124,6 +125,6 @@ def _run(there: Trees, then: Side, now: Side, variables: dict[str, str]) -> None
 
 def _proven(found: Comparison, jobs: list[Job], asked: Question) -> Proven:
     compared = [job for job in jobs if job.name in found.compared]
-    renamed = dict.fromkeys(found.renamed)
-    stages = {job.stage for job in compared} - asked.changed - renamed.keys()
-    return Proven(frozenset(stages), frozenset(asked.kinds - exercised(compared)))
+    same = {job.stage for job in compared if not is_named(job.name, asked.changed)}
+    kinds = frozenset(asked.kinds - exercised(compared))
+    return Proven(frozenset(same - found.renamed), kinds, asked.changed)
