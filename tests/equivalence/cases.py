@@ -11,17 +11,21 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import networkx
 from dvc.dependency import ParamsDependency
+from dvc.fs import localfs
 from dvc.repo import Repo
 from dvc.repo.graph import build_graph
 from dvc.stage import Stage
+from dvc.utils.serialize import load_path
 
 from deblur_avatar.pipeline.code import FINGERPRINTS, PIPELINE
 
+MISSING: Final = object()
 AREAS = ("experiments/cases", "stability/cases")
 # Pages show what a clock says; they are never compared, hence never run.
 REPORTS = ("code", "report", "ablations", "stability_report")
@@ -96,15 +100,31 @@ def words(stage: Stage) -> set[tuple[str, str]]:
 
 def parameters(stage: Stage) -> dict[str, Any]:
     """Every value that a stage depends on, by its full key; no fingerprints of code."""
-    found: dict[str, Any] = {}
-    for dependency in stage.deps:
-        if (
-            isinstance(dependency, ParamsDependency)
-            and Path(dependency.fs_path).name != FINGERPRINTS
-        ):
-            for key, value in dependency.read_params().items():
-                found |= dict(_leaves(value, key))
+    asked = [dep for dep in stage.deps if isinstance(dep, ParamsDependency)]
+    return dict(
+        leaf
+        for dependency in asked
+        if Path(dependency.fs_path).name != FINGERPRINTS
+        for key, value in parameter_values(dependency).items()
+        for leaf in _leaves(value, key)
+    )
+
+
+def parameter_values(dependency: ParamsDependency) -> dict[str, Any]:
+    """What a file says now of the keys that a stage asks for; nothing of those it lacks."""
+    found = {}
+    for key in dependency.params:
+        value = _loaded(dependency.fs_path)
+        for name in key.split("."):
+            value = value.get(name, MISSING) if isinstance(value, dict) else MISSING
+        if value is not MISSING:
+            found[key] = value
     return found
+
+
+@lru_cache
+def _loaded(path: str) -> Any:
+    return load_path(path, localfs) if Path(path).is_file() else {}
 
 
 def _leaves(content: Any, key: str) -> Iterator[tuple[str, Any]]:

@@ -15,7 +15,7 @@ from typing import Any
 from dvc.stage.serialize import to_single_stage_lockfile
 from dvc.utils.serialize import dump_yaml
 
-from tests.equivalence.cases import parameters, stage_of, words
+from tests.equivalence.cases import parameter_values, parameters, stage_of, words
 from tests.equivalence.comparison import compared_values, leaves
 from tests.equivalence.coverage import Kind
 from tests.equivalence.names import Renaming
@@ -212,7 +212,7 @@ def holds(entry: Entry) -> bool:
     return (
         entry.locked
         and not entry.stage.cmd_changed
-        and not any(params.workspace_status() for params in entry.params())
+        and all(params.hash_info.value == parameter_values(params) for params in entry.params())
         and not any(
             file.exists and file.workspace_status() for file in [*entry.deps(), *entry.stage.outs]
         )

@@ -14,7 +14,7 @@ from dvc.repo import Repo
 from dvc.stage import Stage
 
 from deblur_avatar.pipeline.code import PIPELINE
-from tests.equivalence.cases import AREAS, expanded, stage_of
+from tests.equivalence.cases import AREAS, expanded, parameter_values, stage_of
 from tests.equivalence.names import Renaming
 
 PLACES = ("experiments", "stability")  # of pipelines beside the root's
@@ -89,6 +89,7 @@ class Recorded:
     tree: Path
     renaming: Renaming
     listed: list[Entry] = field(default_factory=list)
+    _known: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.listed = [entry for entry in entries(self.tree) if entry.locked]
@@ -133,12 +134,12 @@ class Recorded:
         if entry.stage.cmd_changed:
             yield "its command had changed"
         for params in entry.params():
-            for changed in params.workspace_status().values():
-                yield f"its parameters had changed: {changed}"
+            if params.hash_info.value != parameter_values(params):
+                yield f"its parameters in {params.def_path} had changed"
         for dep in entry.deps():
             path = entry.path(dep)
             if dep.exists:
-                changed = bool(dep.workspace_status())
+                changed = self._md5(path, dep) != dep.hash_info.value
             else:
                 known = self.hashed(self.renaming.text(path))
                 changed = known is None or known.hash_info != dep.hash_info
@@ -147,3 +148,9 @@ class Recorded:
         for out in entry.stage.outs:
             if out.exists and out.workspace_status():
                 yield f"{entry.path(out)} was another"
+
+    def _md5(self, path: str, dep: Dependency) -> str:
+        """Of a file that many stages read, found once."""
+        if path not in self._known:
+            self._known[path] = dep.get_hash()[1].value
+        return self._known[path]
