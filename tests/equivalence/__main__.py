@@ -7,6 +7,7 @@ of all pipelines only if none differs (docs/decisions/0025-relocking.md).
 """
 
 import argparse
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -53,6 +54,12 @@ def table(done: Relocked) -> list[str]:
             for name, reason in done.left_out.items()
             if name.partition(":")[0] == folder
         ]
+    alone = Counter(
+        re.sub(r"^(\w+)\.[^.:]+\.", r"\1.*.", key) for keys in done.vouched.values() for key in keys
+    )
+    if alone:
+        lines.append("in one version alone, of what is locked:")
+        lines += [f"  {count:4d} {key}" for key, count in sorted(alone.items())]
     return lines
 
 

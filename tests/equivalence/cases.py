@@ -158,14 +158,16 @@ def start(jobs: list[Job], tree: Path, scratch: Path, environment: dict[str, str
     return subprocess.Popen(command, cwd=scratch, env=variables)
 
 
-def failures(jobs: list[Job], scratch: Path) -> list[str]:
-    """One line for each job that failed, with the last of what it said."""
+def failures(jobs: list[Job], scratch: Path) -> dict[str, str]:
+    """Jobs that did not end well: the last that each said, or that it waited for another."""
     outcomes = json.loads((scratch / "outcomes.json").read_text())
-    return [
-        f"{job.name} failed: {_last_line(scratch / f'{number}.log')}"
+    return {
+        job.name: "what it needs failed"
+        if outcomes[job.name] is None
+        else _last_line(scratch / f"{number}.log")
         for number, job in enumerate(jobs)
-        if outcomes[job.name] not in (0, None)
-    ]
+        if outcomes[job.name] != 0
+    }
 
 
 def _last_line(log: Path) -> str:

@@ -32,7 +32,7 @@ class Comparison:
 
     compared: set[str] = field(default_factory=set)  # jobs of both, by today's names
     differences: list[tuple[str, str]] = field(default_factory=list)  # a job; stage and file
-    one_sided: list[str] = field(default_factory=list)  # jobs and values that one version has
+    one_sided: list[str] = field(default_factory=list)  # stages and values of one version alone
     renamed: set[str] = field(default_factory=set)  # stages whose artifacts hold renamed words
 
 
@@ -50,8 +50,8 @@ def compare(then: Side, now: Side, renaming: Renaming) -> Comparison:
     before = {renaming.text(job.name) for job in then.jobs}
     after = {job.name for job in now.jobs}
     found.compared = before & after
-    found.one_sided += sorted(f"{name}: only before" for name in before - after)
-    found.one_sided += sorted(f"{name}: only now" for name in after - before)
+    found.one_sided += sorted(f"{stage_of(name)}: only before" for name in before - after)
+    found.one_sided += sorted(f"{stage_of(name)}: only now" for name in after - before)
     old_files = {renaming.text(path): (file, job) for path, file, job in _files(then)}
     new_files = {path: (file, job) for path, file, job in _files(now)}
     for path in sorted(old_files.keys() | new_files.keys()):
@@ -84,7 +84,7 @@ def _one_sided(path: str, job: str, *, before: bool, found: Comparison) -> None:
     """A file of a stage that both versions ran must be in both, unless metrics were split."""
     when = "only before" if before else "only now"
     if is_metrics(path):
-        found.one_sided.append(f"{path}: {when}")
+        found.one_sided.append(f"{stage_of(job)}: a file of metrics: {when}")
     elif job in found.compared:
         found.differences.append((job, f"{stage_of(job)}: {path} is there {when}"))
 
@@ -99,13 +99,21 @@ def _compare_file(
         found.differences += [
             (job, f"{stage_of(job)}: {path}: {text}") for text in values.differences
         ]
-        found.one_sided += [f"{path}: {text}" for text in values.one_sided]
+        found.one_sided += [f"{stage_of(job)}: {text}" for text in values.one_sided]
     elif old.read_bytes() != new.read_bytes():
-        if path.endswith(".json") and renaming.content(_json(old)) == _json(new):
+        same, words = _same_json(old, new, renaming) if path.endswith(".json") else (False, False)
+        if same and words:
             found.renamed.add(stage_of(job))
-        else:
+        elif not same:
             line = f"{stage_of(job)}: {path} differs{_where(old, new)}"
             found.differences.append((job, line))
+
+
+def _same_json(old: Path, new: Path, renaming: Renaming) -> tuple[bool, bool]:
+    """Whether two files say the same, and whether by other words; whatever their clocks say."""
+    before, after = list(leaves(_json(old))), list(leaves(_json(new)))
+    by_todays_words = list(leaves(renaming.content(_json(old))))
+    return by_todays_words == after, before != after
 
 
 @dataclass(frozen=True)
@@ -128,8 +136,10 @@ def compared_values(old: Any, new: Any, renaming: Renaming) -> Values:
             for key in both
             if before[key] != after[key]
         ],
-        one_sided=[f"{_dotted(key)}: only before" for key in before if key not in after]
-        + [f"{_dotted(key)}: only now" for key in after if key not in before],
+        one_sided=sorted(
+            {f"{_unnumbered(key)}: only before" for key in before if key not in after}
+            | {f"{_unnumbered(key)}: only now" for key in after if key not in before}
+        ),
     )
 
 
@@ -148,6 +158,10 @@ def leaves(
 
 def _dotted(key: tuple[str, ...]) -> str:
     return ".".join(key)
+
+
+def _unnumbered(key: tuple[str, ...]) -> str:
+    return _dotted(tuple(part for part in key if not part.isdigit()))
 
 
 def _json(path: Path) -> Any:

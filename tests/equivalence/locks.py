@@ -105,7 +105,7 @@ class Relocking:
             raise _LeftOutError(f"{origin.name} was not up to date at BASE: {stale}")
         listed = list(self._compared_parameters(origin, entry))
         for dep in entry.deps():
-            _state(dep, self._read(entry.path(dep), dep))
+            _state(dep, self._read(entry.path(dep), dep, origin))
         for out in entry.stage.outs:
             path = entry.path(out)
             if self._in_git(path):
@@ -154,7 +154,7 @@ class Relocking:
                 found |= _last_values(content)
         return found
 
-    def _read(self, path: str, dep: Any) -> Hashed:
+    def _read(self, path: str, dep: Any, origin: Entry) -> Hashed:
         """The hash of what a stage reads."""
         known = self.base.hashed(path)
         if known is None:
@@ -163,7 +163,7 @@ class Relocking:
             return known
         dep.save()
         if dep.hash_info != known.hash_info:
-            self._same_values(path)
+            self._same_values(path, origin)
         return Hashed(dep.hash_info, dep.meta)
 
     def _written(self, path: str, origin: Entry) -> Hashed:
@@ -182,9 +182,9 @@ class Relocking:
             if missing:
                 raise _LeftOutError(f"{path}: BASE measured no {sorted(missing)[0]}")
             return []
-        return self._same_values(path)
+        return self._same_values(path, origin)
 
-    def _same_values(self, path: str) -> list[str]:
+    def _same_values(self, path: str, origin: Entry) -> list[str]:
         """Refuse a file that says something else than the file of BASE."""
         old, new = self._file_of_base(path), self.root / path
         if old is None or not old.is_file():
@@ -197,7 +197,7 @@ class Relocking:
         values = compared_values(before, after, self.renaming)
         if values.differences or not values.common:
             raise _LeftOutError(f"{path}: {[*values.differences, 'nothing in common'][0]}")
-        return [f"{path}: {text}" for text in values.one_sided]
+        return [f"metrics of {origin.group}: {text}" for text in values.one_sided]
 
     def _file_of_base(self, path: str) -> Path | None:
         for entry in self.base.listed:

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -99,28 +100,38 @@ def prove(there: Trees, asked: Question, say: Callable[[str], None]) -> Proven:
     missing = asked.kinds - exercised(now.jobs)
     if missing:
         raise RefusedError("\n".join(f"no small case has {key}: {word}" for key, word in missing))
-    _run(there, then, now, asked.variables)
+    then = _run(there, then, now, asked.variables, say)
     found = compare(then, now, asked.renaming)
-    for line in found.one_sided:
-        say(line)
+    for line, count in sorted(Counter(found.one_sided).items()):
+        say(f"not compared: {line} ({count})")
     refused = [line for job, line in found.differences if not is_named(job, asked.changed)]
     if refused:
         raise RefusedError("\n".join(refused))
     return _proven(found, now.jobs, asked)
 
 
-def _run(there: Trees, then: Side, now: Side, variables: dict[str, str]) -> None:
-    sides = {"then": then, "now": now}
-    running = {
-        name: start(side.jobs, side.tree, there.scratch / name, variables)
-        for name, side in sides.items()
-    }
-    codes = {name: process.wait() for name, process in running.items()}
-    failed = [f"{name}: the process of all cases ended with {c}" for name, c in codes.items() if c]
-    for name, side in sides.items():
-        failed += [] if codes[name] else failures(side.jobs, there.scratch / name)
+def _run(
+    there: Trees, then: Side, now: Side, variables: dict[str, str], say: Callable[[str], None]
+) -> Side:
+    """Run both sides at once; what failed before is not compared, what fails now is refused."""
+    running = [
+        start(side.jobs, side.tree, there.scratch / side.tree.name, variables)
+        for side in (then, now)
+    ]
+    try:
+        for process, side in zip(running, (then, now), strict=True):
+            if process.wait():
+                raise RefusedError(f"the small cases of {side.tree.name} could not be run at all")
+    finally:
+        for process in running:
+            process.kill()  # the other, or both at an interrupt
+    failed = failures(now.jobs, there.scratch / now.tree.name)
     if failed:
-        raise RefusedError("\n".join(failed))
+        raise RefusedError("\n".join(f"{name} failed: {why}" for name, why in failed.items()))
+    before = failures(then.jobs, there.scratch / then.tree.name)
+    for name, why in before.items():
+        say(f"{name}: failed before: {why}")
+    return Side(then.tree, [job for job in then.jobs if job.name not in before])
 
 
 def _proven(found: Comparison, jobs: list[Job], asked: Question) -> Proven:
