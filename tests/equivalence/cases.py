@@ -113,8 +113,10 @@ def parameters(stage: Stage) -> dict[str, Any]:
 def parameter_values(dependency: ParamsDependency) -> dict[str, Any]:
     """What a file says now of the keys that a stage asks for; nothing of those it lacks."""
     found = {}
+    path = Path(dependency.fs_path)
+    content = _loaded(path, path.stat().st_mtime_ns) if path.is_file() else {}
     for key in dependency.params:
-        value = _loaded(dependency.fs_path)
+        value = content
         for name in key.split("."):
             value = value.get(name, MISSING) if isinstance(value, dict) else MISSING
         if value is not MISSING:
@@ -123,8 +125,9 @@ def parameter_values(dependency: ParamsDependency) -> dict[str, Any]:
 
 
 @lru_cache
-def _loaded(path: str) -> Any:
-    return load_path(path, localfs) if Path(path).is_file() else {}
+def _loaded(path: Path, written: int) -> Any:
+    """A file's content as of when it was written: many stages ask for the same."""
+    return load_path(str(path), localfs)
 
 
 def _leaves(content: Any, key: str) -> Iterator[tuple[str, Any]]:

@@ -193,6 +193,12 @@ def test_what_is_said_to_have_changed_is_left_out_alone(project):
     assert would_run(project) == {"weigh@long", "weigh@short"}
 
 
+def test_an_item_that_is_said_to_have_changed_is_left_out_though_its_case_is_the_same(project):
+    moved(project)
+    done = relocked(project, changed=("cut@long",))
+    assert done.left_out == {".:cut@long": "it is said to do something else"}
+
+
 def test_a_stale_entry_is_not_declared_fresh(project):
     replaced(project, "params.yaml", "size: 9", "size: 8")
     commit(project)
