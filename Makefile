@@ -6,7 +6,7 @@ STAMP := .venv/.installed
 WORKERS ?= 2
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS)
 
-.PHONY: setup repro avatar check stability test test-portable fuzz bench code readme clean-cache
+.PHONY: setup repro avatar check stability test test-portable fuzz bench code relock readme clean-cache
 
 setup: $(STAMP)
 
@@ -76,6 +76,12 @@ bench: $(STAMP)
 # itself, `dvc repro --dry` and `dvc status` do not.
 code: $(STAMP)
 	$(BIN)/python -m deblur_avatar.pipeline.code
+
+# After a pure refactoring: proves on small cases, byte by byte, that the present tree does what a commit before it did,
+# and writes the locks anew; nothing runs again. make relock BASE=<commit> [RENAMED=old=new,...] [CHANGED=stage,...]
+relock: $(STAMP)
+	$(if $(BASE),,$(error make relock needs a commit to compare with: make relock BASE=HEAD))
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.equivalence --base "$(BASE)" --renamed "$(RENAMED)" --changed "$(CHANGED)"
 
 # Copies reports/table.md into README.md; a test compares.
 readme: $(STAMP)

@@ -16,10 +16,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from deblur_avatar.avatar.body import posed_joints, posed_vertices
 from PIL import Image
 
-from deblur_avatar.artifacts import Poses
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from tests.sources.small_videos import write_video
 from tests.walking_person import walking_poses

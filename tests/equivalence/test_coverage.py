@@ -1,0 +1,43 @@
+"""Whatever a parameter may be is run by a small case."""
+
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.motion.kinds import KINDS
+from deblur_avatar.sources.registry import SOURCES
+from tests.equivalence.cases import jobs_of
+from tests.equivalence.coverage import uncovered
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def jobs():
+    return jobs_of(ROOT)
+
+
+def test_every_kind_has_a_case(jobs):
+    assert uncovered(jobs) == set()
+
+
+@pytest.mark.parametrize(("key", "registry"), [("source", SOURCES), ("kind", KINDS)])
+def test_a_kind_without_a_case_is_found(jobs, key, registry, monkeypatch):
+    monkeypatch.setitem(registry, "invented", next(iter(registry.values())))
+    assert uncovered(jobs) == {(key, "invented")}
+
+
+@pytest.mark.parametrize(
+    "word",
+    [("mask", "union"), ("supervision", "fused"), ("light", "linear"), ("exposure_gain", "frame")],
+)
+def test_a_word_of_a_parameter_without_a_case_is_found(jobs, word):
+    assert uncovered([job for job in jobs if list(word) not in job.words]) >= {word}
+
+
+def test_stages_that_are_compared_have_a_case(jobs):
+    assert {job.stage for job in jobs} >= {
+        "body", "clip", "blur", "score_blur", "preprocess", "predeblur", "score_predeblur", "check",
+        "warmup", "trajectory", "fusion", "evaluate", "timeline", "animate", "stability",
+        "stability_scene",
+    }  # fmt: skip
