@@ -10,7 +10,7 @@ from deblur_avatar.artifacts.storage import Artifact
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint(Artifact):
-    """What an optimiser remembers, so that the next stage goes on where the last one stopped."""
+    """What an optimizer remembers, so that the next stage goes on where the last one stopped."""
 
     schema: ClassVar[str] = "checkpoint/1"
 

@@ -239,12 +239,12 @@ class NetworksAvatar(SplatAvatar):
         if self.params.skinning is None:
             return
         iterations = self.params.skinning.pretrain
-        optimiser = torch.optim.Adam(self.skinning_field.parameters(), lr=PRETRAIN_RATE)
-        decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(iterations, 1))
+        optimizer = torch.optim.Adam(self.skinning_field.parameters(), lr=PRETRAIN_RATE)
+        decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(iterations, 1))
         for _ in range(iterations):
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             self.skinning_distance(PRETRAIN_SAMPLES, generator).backward()
-            optimiser.step()
+            optimizer.step()
             decay.step()
 
     def fill_untrained_latents(self, trained: Sequence[int]) -> None:

@@ -48,10 +48,7 @@ class PlyExport(Params):
         model = avatar_from_artifact(run.avatar, run.observations.body, torch.device("cpu"))
         pose = run.motion.centre.at([self.frame])
         viewmat = cameras.viewmats[run.observations.train_camera]
-        gaussians = posed_gaussians(model, pose, viewmat)
-        if gaussians is None:
-            raise ConfigError(f"export: an avatar of kind {model.kind} has no Gaussians to write")
-        stage.write_bytes(path, ply_bytes(gaussians))
+        stage.write_bytes(path, ply_bytes(posed_gaussians(model, pose, viewmat)))
 
 
 def ply_bytes(gaussians: PosedGaussians) -> bytes:

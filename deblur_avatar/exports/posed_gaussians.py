@@ -9,6 +9,7 @@ from torch import Tensor
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.splats import SplatAvatar
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_quat
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.rendering.covariances import whole_matrices
@@ -29,8 +30,8 @@ class PosedGaussians:
 
 def posed_gaussians(
     model: AvatarModel, pose: Poses, viewmat: Float[Tensor, "4 4"], frame: int = -1
-) -> PosedGaussians | None:
-    """Pose an avatar and take its Gaussians out; no gradients. None of an avatar without any.
+) -> PosedGaussians:
+    """Pose an avatar and take its Gaussians out; no gradients.
 
     Colours that depend on the view are those seen from one camera. An avatar that averages linear
     light gets each colour as sRGB, which other programs blend without turning it into light.
@@ -40,9 +41,12 @@ def posed_gaussians(
         pose: one; its shape numbers are ignored in favour of the avatar's.
         viewmat: the camera, world to camera.
         frame: training position whose latent code the colours are of; -1 for the last.
+
+    Raises:
+        ConfigError: if the avatar is not made of Gaussians.
     """
     if not isinstance(model, SplatAvatar):
-        return None
+        raise ConfigError(f"an avatar of kind {model.kind} has no Gaussians to take out")
     device = model.betas.device
     with torch.no_grad():
         rotations = axis_angle_to_matrix(pose.axis_angle).to(device)

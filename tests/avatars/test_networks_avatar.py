@@ -339,6 +339,17 @@ def test_equal_generators_make_equal_gaussians(body, recipe):
     assert not torch.equal(make(1), make(2))
 
 
+def test_what_is_on_disk_has_the_names_that_it_always_had(dressed_up, painted):
+    saved = dressed_up.to_artifact(1)
+    parts = {name.split(".")[0] for name in saved.networks}
+    assert parts == {"pose_encoder", "nonrigid", "skinning", "color"}
+    assert saved.model.keys() == {"params", "frames", "light"}
+    assert saved.model["params"].keys() == {"nonrigid", "skinning", "color"}
+    plain = painted().to_artifact(1)
+    assert plain.model["params"] == {"nonrigid": None, "skinning": None, "color": None}
+    assert plain.networks == {}
+
+
 def test_networks_of_another_composition_are_refused(dressed_up, body):
     artifact = dressed_up.to_artifact(1)
     networks = {k: v for k, v in artifact.networks.items() if not k.startswith("color.latents")}

@@ -31,6 +31,8 @@ WORDS = {
     "even_colors": "smooth_colors",
     "even_shapes": "smooth_shapes",
     "even_heights": "smooth_heights",
+    "Descent": "Optimizers",
+    "StartParams": "RecipeParams",
     "explained_frames": "held_out_blur",
     "own_motion": "captured_motion",
     "own_video": "from_video",
