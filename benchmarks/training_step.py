@@ -103,6 +103,7 @@ def observations(size: int) -> Observations:
     return Observations(
         frames=(images * 255).round().to(torch.uint8),
         mattes=(alphas * 255).round().to(torch.uint8),
+        comparable=None,
         cameras=cameras,
         crops=torch.tensor([[0.0, 0, size, size]]),
         train_camera=0,

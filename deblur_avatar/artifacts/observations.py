@@ -35,6 +35,7 @@ class Observations(Artifact):
 
     frames: UInt8[Tensor, "F H W 3"]
     mattes: UInt8[Tensor, "F H W"]
+    comparable: UInt8[Tensor, "F H W"] | None  # 255 where colours mean something; None: everywhere
     cameras: Cameras  # all cameras of the source, without distortion
     crops: Float32[Tensor, "C 4"]
     train_camera: int

@@ -5,6 +5,7 @@ alpha is the matte (coverage). `light` says in which space light adds up: `linea
 (as averaged by the paper). Pictures and mattes are 8 bits; the camera stands still.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -17,6 +18,8 @@ from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.exposure import Light
 
 BARE = 26  # matte, of 255: below it (10 %) a pixel is taken to show the background
+FULL = 230  # from it on (90 %) a pixel is taken to show nothing but the person
+BAND = 0.006  # of the picture's height: half the width of a mask's edge that is not to be trusted
 ENOUGH = 3  # frames that must show a pixel's background for it to be trusted
 NOISE, DISTINCT = 8.0, 24.0  # codes from the plate: surely the background, surely something else
 NEIGHBOURHOOD = 5  # pixels over which a difference is averaged; leaks narrower than it stay shut
@@ -48,15 +51,15 @@ def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F 
 def trim_mattes(
     frames: UInt8[Tensor, "F H W 3"],
     mattes: UInt8[Tensor, "F H W"],
-    plate: Plate,
+    plates: Sequence[Plate],
 ) -> UInt8[Tensor, "F H W"]:
     """Take those parts off mattes where a picture shows just the background.
 
     Segmentation spills over the outline. What looks like the plate is trimmed if it is joined to
     the outside: inside the person it is clothing of the background's colour.
     """
-    pairs = zip(frames, mattes, strict=True)
-    return torch.stack([_trimmed(frame, matte, plate) for frame, matte in pairs])
+    triples = zip(frames, mattes, plates, strict=True)
+    return torch.stack([_trimmed(*triple) for triple in triples])
 
 
 def _trimmed(
@@ -81,7 +84,7 @@ def _trimmed(
 def lift_person(
     frames: UInt8[Tensor, "F H W 3"],
     mattes: UInt8[Tensor, "F H W"],
-    plate: Plate,
+    plates: Sequence[Plate],
     light: Light,
 ) -> UInt8[Tensor, "F H W 3"]:
     """Take the background's share away: pictures of the person on black.
@@ -89,8 +92,31 @@ def lift_person(
     The rest is clamped to what coverage `alpha` can emit, [0, alpha]. Where the plate is not known
     the background is taken to have the pixel's own colour, which multiplies it by alpha.
     """
-    pairs = zip(frames, mattes, strict=True)
-    return torch.stack([_lift(frame, matte, plate, light) for frame, matte in pairs])
+    triples = zip(frames, mattes, plates, strict=True)
+    return torch.stack([_lift(*triple, light) for triple in triples])
+
+
+def no_plate(matte: UInt8[Tensor, "H W"]) -> Plate:
+    """The plate of a frame whose background is known nowhere."""
+    return Plate(matte.new_zeros(*matte.shape, 3), torch.zeros_like(matte, dtype=torch.bool))
+
+
+def comparable_pixels(
+    mattes: UInt8[Tensor, "F H W"], plates: Sequence[Plate]
+) -> UInt8[Tensor, "F H W"]:
+    """Where colours of lifted pictures can be compared: 255, elsewhere 0.
+
+    That is inside the person, outside of her, and in the band between where the plate is known.
+    Elsewhere in the band nobody knows how much of a pixel's light is the background's.
+    """
+    radius = max(1, round(BAND * mattes.shape[1]))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    masks = []
+    for matte, plate in zip(mattes.numpy(), plates, strict=True):
+        inside = cv2.erode((matte >= FULL).astype(np.uint8), kernel) > 0
+        outside = cv2.dilate((matte >= BARE).astype(np.uint8), kernel) == 0
+        masks.append(inside | outside | plate.known.numpy())
+    return torch.from_numpy(np.stack(masks)).to(torch.uint8) * 255
 
 
 def _lift(

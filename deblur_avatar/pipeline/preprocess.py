@@ -33,10 +33,10 @@ from deblur_avatar.config.section import (
 )
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.imaging.camera_motion import STILL, background_travel
+from deblur_avatar.imaging.backgrounds import BackgroundKind, background_of
 from deblur_avatar.imaging.exposure import Light, frames_before
 from deblur_avatar.imaging.matting import (
-    background_plate,
+    comparable_pixels,
     lift_person,
     trim_mattes,
 )
@@ -54,8 +54,7 @@ class PreprocessParams(Params):
 
     poses: Literal["given", "estimated"]
     masks: Literal["given", "estimated"]
-    background: Literal["none", "median", "auto"]  # taken away behind a soft matte; auto: median
-    # where the camera stands still
+    background: BackgroundKind  # taken away behind a soft matte
     depth: Literal[
         "known", "unknown"
     ]  # known: the poses come from several views, say, and tell how
@@ -116,25 +115,30 @@ def preprocess(
     clip = _straightened(clip)
     row = clip.recorded.index(clip.train_camera)
     people: list[Landmarks] = []
+    kind = params.background
     if "estimated" in (params.masks, params.poses):
         people = _people(clip, params, detect)
-        params = _with_background(params, clip.frames[row], people[row])
-        people = [_trimmed(f, p, params) for f, p in zip(clip.frames, people, strict=True)]
-    mattes, sharp_mattes = _mattes(clip, row, params, people, detect)
+        kind = background_of(kind, clip.frames[row], people[row].mattes).kind
+        people = [_trimmed(f, p, kind) for f, p in zip(clip.frames, people, strict=True)]
+    mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
     crops, cameras = _crops(clip.cameras, body, track.poses, params.margin, image_height)
     crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
-    plate = background_plate(clip.frames[row], mattes) if params.background == "median" else None
+    background = background_of(kind, clip.frames[row], mattes)
 
     def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
-        if plate is not None:
-            frames = lift_person(frames, mattes, plate, cast(Light, clip.light))
+        if background.plates is not None:
+            frames = lift_person(frames, mattes, background.plates, cast(Light, clip.light))
         return crop_and_scale(frames, crop, size), crop_and_scale(mattes, crop, size)
 
     cut = cut_out(clip.frames[row], mattes)
-    blurred = _observations(clip, body, params, track, shown, cut, crops, cameras)
+    comparable = None
+    if background.plates is not None and background.has_gaps:
+        comparable = comparable_pixels(mattes, background.plates)
+        comparable = crop_and_scale(comparable, crop, size)
+    blurred = _observations(clip, body, params, track, shown, (*cut, comparable), crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
         frames, cut_mattes = cut_out(clip.sharp_frames, sharp_mattes)
@@ -161,7 +165,7 @@ def _observations(
     params: PreprocessParams,
     track: _Track,
     shown: Bool[Tensor, " F"],
-    cut: tuple[UInt8[Tensor, "F H W 3"], UInt8[Tensor, "F H W"]],
+    cut: tuple[UInt8[Tensor, "F H W 3"], UInt8[Tensor, "F H W"], UInt8[Tensor, "F H W"] | None],
     crops: list[Crop],
     cameras: Cameras,
 ) -> Observations:
@@ -170,6 +174,7 @@ def _observations(
     return Observations(
         frames=cut[0],
         mattes=cut[1],
+        comparable=cut[2],
         cameras=cameras,
         crops=torch.tensor(crops, dtype=torch.float32),
         train_camera=clip.train_camera,
@@ -271,32 +276,21 @@ def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) 
     return [person]
 
 
-def _with_background(
-    params: PreprocessParams, frames: UInt8[Tensor, "F H W 3"], person: Landmarks
-) -> PreprocessParams:
-    """Decide what `auto` is for this camera."""
-    if params.background != "auto":
-        return params
-    travel = background_travel(frames, person.mattes)
-    still = travel is not None and travel < STILL
-    logger.info("the camera %s", "stands still" if still else "moves, or shows too little to tell")
-    return params.model_copy(update={"background": "median" if still else "none"})
-
-
 def _trimmed(
-    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, params: PreprocessParams
+    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, kind: BackgroundKind
 ) -> Landmarks:
     """The person, the mattes trimmed where the background is known."""
-    if params.background != "median":
+    plates = background_of(kind, frames, person.mattes).plates
+    if plates is None:
         return person
-    plate = background_plate(frames, person.mattes)
-    return replace(person, mattes=trim_mattes(frames, person.mattes, plate))
+    return replace(person, mattes=trim_mattes(frames, person.mattes, plates))
 
 
 def _mattes(
     clip: BlurryClip,
     row: int,
     params: PreprocessParams,
+    kind: BackgroundKind,
     people: list[Landmarks],
     detect: PersonDetector,
 ) -> tuple[UInt8[Tensor, "F H W"], UInt8[Tensor, "F H W"] | None]:
@@ -307,7 +301,7 @@ def _mattes(
         return clip.mattes[row], clip.sharp_mattes
     if clip.sharp_frames is None:
         return people[row].mattes, None
-    sharp = _trimmed(clip.sharp_frames, detect(clip.sharp_frames), params)
+    sharp = _trimmed(clip.sharp_frames, detect(clip.sharp_frames), kind)
     return people[row].mattes, sharp.mattes
 
 

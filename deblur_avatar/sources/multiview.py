@@ -193,9 +193,9 @@ def _reference(clip: Clip, stride: int, segment: Segment) -> Reference:
         lens = clip.cameras.Ks[camera], clip.cameras.distortion[camera]
         frames = undistort(clip.frames[row], *lens)
         found = segment(frames)
-        plate = background_plate(frames, found)
-        trimmed = trim_mattes(frames[chosen], found[chosen], plate)
-        images.append(lift_person(frames[chosen], trimmed, plate, "srgb"))
+        plates = [background_plate(frames, found)] * len(chosen)
+        trimmed = trim_mattes(frames[chosen], found[chosen], plates)
+        images.append(lift_person(frames[chosen], trimmed, plates, "srgb"))
         mattes.append(trimmed)
         cameras.append(torch.full((len(chosen),), camera))
     frame_indices = chosen.repeat(len(images))

@@ -241,7 +241,8 @@ def example(kind: type[Artifact]) -> Artifact:
             "sharp_frames": _images(3, 6, 8, 3), "sharp_mattes": _images(3, 6, 8),
         },
         "Observations": {
-            "frames": _images(3, 6, 8, 3), "mattes": _images(3, 6, 8), "cameras": _cameras(),
+            "frames": _images(3, 6, 8, 3), "mattes": _images(3, 6, 8),
+            "comparable": _images(3, 6, 8), "cameras": _cameras(),
             "crops": torch.ones(1, 4), "train_camera": 0, "body": _body(), "poses": _poses(),
             "weights": torch.ones(3), "frame_indices": frames, "timestamps": _times(),
             "exposure": 0.01, "light": "srgb", "train": (0, 1), "validation": (2,),

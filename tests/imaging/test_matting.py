@@ -65,7 +65,7 @@ def test_what_is_never_bare_is_not_known():
 @pytest.mark.parametrize("coverage", [1.0, 0.6])
 def test_lifting_undoes_the_mixture_with_the_background(light: str, coverage: float):
     frames, mattes = walk(coverage, light)
-    lifted = lift_person(frames, mattes, background_plate(frames, mattes), light)
+    lifted = lift_person(frames, mattes, [background_plate(frames, mattes)] * len(frames), light)
     if light == "linear":
         alone = linear_to_srgb(coverage * srgb_to_linear(PERSON))
     else:
@@ -78,7 +78,7 @@ def test_lifting_undoes_the_mixture_with_the_background(light: str, coverage: fl
 def test_where_the_background_is_unknown_the_picture_is_multiplied_by_the_matte():
     frames, mattes = walk(0.5)
     unknown = Plate(torch.zeros_like(frames[0]), torch.zeros(HEIGHT, WIDTH, dtype=torch.bool))
-    lifted = lift_person(frames, mattes, unknown, "srgb")
+    lifted = lift_person(frames, mattes, [unknown] * len(frames), "srgb")
     expected = frames.float() * (mattes.float() / 255)[..., None]
     assert (lifted.float() - expected).abs().max() <= 0.51
 
@@ -87,7 +87,7 @@ def test_a_person_emits_no_more_than_her_coverage():
     frames, mattes = walk(0.4)
     plate = background_plate(frames, mattes)
     brightened = frames.clamp(max=200) + 55
-    lifted = lift_person(brightened, mattes, plate, "srgb")
+    lifted = lift_person(brightened, mattes, [plate] * len(frames), "srgb")
     assert (lifted <= mattes[..., None]).all()
 
 
@@ -96,7 +96,7 @@ def test_clothes_of_the_backgrounds_colour_stay():
     plate = background_plate(frames, mattes)
     hole = frames.clone()
     hole[3, 10:14, 16:20] = plate.picture[10:14, 16:20]
-    trimmed = trim_mattes(hole, mattes, plate)
+    trimmed = trim_mattes(hole, mattes, [plate] * len(frames))
     assert (trimmed[3, 10:14, 16:20] == 255).all()
 
 
@@ -105,4 +105,4 @@ def test_nothing_is_trimmed_where_the_background_is_unknown():
     spilled = mattes.clone()
     spilled[3] = 255
     unknown = Plate(frames[0], torch.zeros(HEIGHT, WIDTH, dtype=torch.bool))
-    assert torch.equal(trim_mattes(frames, spilled, unknown), spilled)
+    assert torch.equal(trim_mattes(frames, spilled, [unknown] * len(frames)), spilled)

@@ -1,0 +1,179 @@
+"""Background plates of a moving camera: frames aligned by homographies on what is not the person.
+
+A camera that drifts, turns or zooms sees its background through one homography a frame. Frames are
+matched with keyframes, warped into one mosaic, and the mosaic's median is warped back: a plate for
+each frame. Where the plate does not agree with the frame next to the person (parallax, a crowd, a
+change of light) it is not known there, and nothing is taken for background.
+
+Conventions. `mosaic_from_frame` [F, 3, 3] maps pixels (x, y, 1) of a frame to the mosaic's.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from deblur_avatar.imaging.camera_motion import background_mask
+from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
+
+MATCHED_WIDTH = 960  # pixels; larger frames are matched at this size
+FEATURES = 2000
+RATIO = 0.75  # of the best match's distance to the second best (Lowe 2004)
+RANSAC_PIXELS = 2.0
+FEWEST = 30  # inliers without which a homography means nothing
+KEY_INLIERS = 0.4  # share of a keyframe's inliers below which the frame before becomes a keyframe
+MAX_MOSAIC = 6.0  # area of the mosaic, in frames; beyond, a homography has run away
+MOSAIC_FRAMES = 48  # that its median is taken of
+AGREEMENT = 10.0  # codes of 255 that plate and frame may differ by, on average around a pixel
+AROUND = 0.03  # of the picture's height: radius of "around"
+
+
+class Alignment(NamedTuple):
+    """Where each frame lies in the mosaic."""
+
+    mosaic_from_frame: Float[np.ndarray, "F 3 3"]
+    size: tuple[int, int]  # of the mosaic, width and height, pixels
+
+
+def aligned_plates(
+    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
+) -> list[Plate] | None:
+    """The background behind the person in each frame of a moving camera.
+
+    Returns:
+        One plate a frame, each known only where it agrees with the frame around; None if the frames
+        cannot be aligned.
+    """
+    alignment = align_frames(frames, mattes)
+    if alignment is None:
+        return None
+    mosaic = _mosaic(frames, mattes, alignment)
+    plates = []
+    for frame, matte, placed in zip(frames, mattes, alignment.mosaic_from_frame, strict=True):
+        plates.append(_believed(frame, matte, _warped_back(mosaic, placed, tuple(matte.shape))))
+    return plates
+
+
+def align_frames(
+    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
+) -> Alignment | None:
+    """Homographies of all frames into one mosaic; None if one cannot be found.
+
+    Each frame is matched with the last keyframe; where too little of that is left in sight, the
+    frame before becomes the next keyframe.
+    """
+    height, width = mattes.shape[1:]
+    scale = min(1.0, MATCHED_WIDTH / max(width, height))
+    detector = cv2.SIFT_create(FEATURES)  # type: ignore[attr-defined]
+    found = [_features(detector, *pair, scale) for pair in zip(frames, mattes, strict=True)]
+    placed: list[np.ndarray] = [np.eye(3)]
+    key, most = 0, 0
+    for index in range(1, len(found)):
+        step = _homography(found[key], found[index])
+        if index - 1 > key and (step is None or step[1] < KEY_INLIERS * most):
+            key, most = index - 1, 0
+            step = _homography(found[key], found[index])
+        if step is None:
+            return None
+        most = max(most, step[1])
+        placed.append(placed[key] @ step[0])
+    shrink = np.diag([scale, scale, 1.0])
+    return _in_one_mosaic(np.stack([np.linalg.inv(shrink) @ h @ shrink for h in placed]),
+                          (width, height))  # fmt: skip
+
+
+def _features(
+    detector: cv2.Feature2D, frame: Tensor, matte: Tensor, scale: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    grey: np.ndarray = cv2.cvtColor(frame.numpy(), cv2.COLOR_RGB2GRAY)
+    mask: np.ndarray = background_mask(matte).numpy().astype(np.uint8)
+    if scale < 1:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        mask = cv2.resize(mask, (grey.shape[1], grey.shape[0]), interpolation=cv2.INTER_NEAREST)
+    points, descriptors = detector.detectAndCompute(grey, mask)
+    return np.array([point.pt for point in points], np.float32).reshape(-1, 2), descriptors
+
+
+def _homography(
+    key: tuple[np.ndarray, np.ndarray | None], other: tuple[np.ndarray, np.ndarray | None]
+) -> tuple[np.ndarray, int] | None:
+    """`key_from_other` and its inliers; None without enough of them."""
+    if key[1] is None or other[1] is None or min(len(key[0]), len(other[0])) < FEWEST:
+        return None
+    matches = cv2.BFMatcher(cv2.NORM_L2).knnMatch(other[1], key[1], k=2)
+    good = [pair[0] for pair in matches if pair[0].distance < RATIO * pair[-1].distance]
+    if len(good) < FEWEST:
+        return None
+    source = other[0][[match.queryIdx for match in good]]
+    target = key[0][[match.trainIdx for match in good]]
+    cv2.setRNGSeed(0)  # RANSAC draws
+    step, inliers = cv2.findHomography(source, target, cv2.RANSAC, RANSAC_PIXELS)
+    if step is None or inliers.sum() < FEWEST:
+        return None
+    return step, int(inliers.sum())
+
+
+def _in_one_mosaic(placed: np.ndarray, size: tuple[int, int]) -> Alignment | None:
+    """Shift the mosaic so that it begins at its corner; None if it would be far too large."""
+    width, height = size
+    corners = np.array([[[0, 0], [width, 0], [width, height], [0, height]]], np.float64)
+    if not np.isfinite(placed).all():
+        return None
+    there = np.concatenate([cv2.perspectiveTransform(corners, h)[0] for h in placed])
+    low, high = np.floor(there.min(0)), np.ceil(there.max(0))
+    wide, tall = (high - low).astype(int).tolist()
+    if wide * tall > MAX_MOSAIC * width * height:
+        return None
+    shift = np.array([[1, 0, -low[0]], [0, 1, -low[1]], [0, 0, 1]])
+    return Alignment(shift @ placed, (wide, tall))
+
+
+def _mosaic(
+    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"], alignment: Alignment
+) -> Plate:
+    """The (lower) median of the aligned frames that are bare of the person."""
+    chosen = np.linspace(0, len(frames) - 1, min(MOSAIC_FRAMES, len(frames))).round().astype(int)
+    wide, tall = alignment.size
+    values = np.full((len(chosen), tall, wide, 3), 255, np.uint8)
+    count = np.zeros((tall, wide), np.int32)
+    for row, index in enumerate(chosen):
+        homography = alignment.mosaic_from_frame[index]
+        bare = background_mask(mattes[index]).numpy().astype(np.uint8)
+        seen = cv2.warpPerspective(bare, homography, (wide, tall), flags=cv2.INTER_NEAREST) > 0
+        picture = cv2.warpPerspective(frames[index].numpy(), homography, (wide, tall))
+        values[row][seen] = picture[seen]
+        count += seen
+    values.sort(axis=0)  # what is not bare lies behind all others
+    middle = np.maximum((count - 1) // 2, 0)
+    picture = np.take_along_axis(values, middle[None, :, :, None].repeat(3, 3), 0)[0]
+    known = count >= ENOUGH
+    picture[~known] = 0
+    return Plate(torch.from_numpy(picture), torch.from_numpy(known))
+
+
+def _warped_back(mosaic: Plate, placed: np.ndarray, shape: tuple[int, int]) -> Plate:
+    size, flags = (shape[1], shape[0]), cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
+    picture = cv2.warpPerspective(
+        mosaic.picture.numpy(), placed, size, flags=flags | cv2.INTER_LINEAR
+    )
+    known = mosaic.known.numpy().astype(np.uint8) * 255
+    known = cv2.warpPerspective(known, placed, size, flags=flags | cv2.INTER_LINEAR) == 255
+    return Plate(torch.from_numpy(picture), torch.from_numpy(known))
+
+
+def _believed(frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], plate: Plate) -> Plate:
+    """The plate, known only where the bare pixels around look like it."""
+    radius = max(1, round(AROUND * matte.shape[0]))
+    window = (2 * radius + 1, 2 * radius + 1)
+    known = plate.known.numpy()
+    bare = (known & (matte.numpy() < BARE)).astype(np.float32)
+    apart = cv2.absdiff(frame.numpy(), plate.picture.numpy()).mean(-1).astype(np.float32)
+    weight = cv2.blur(bare, window, borderType=cv2.BORDER_CONSTANT)
+    mean = cv2.blur(apart * bare, window, borderType=cv2.BORDER_CONSTANT) / weight.clip(1e-6)
+    # Deep inside the person there is nothing bare around; there the plate is not needed.
+    agrees: Bool[np.ndarray, "H W"] = known & (weight > 1e-3) & (mean < AGREEMENT)
+    return Plate(torch.where(torch.from_numpy(agrees)[..., None], plate.picture, 0),
+                 torch.from_numpy(agrees))  # fmt: skip

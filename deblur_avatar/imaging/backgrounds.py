@@ -1,0 +1,72 @@
+"""Background models: what is taken away behind the person, for each kind of camera.
+
+`none`: frames show the person on black already. `median`: one plate of a camera that stands still.
+`aligned`: a plate a frame, of a camera that drifts, turns or zooms. `matte`: no plate; a pixel is
+what its matte says. `auto` takes the first of median, aligned and matte that the frames allow.
+"""
+
+import logging
+from typing import Literal, NamedTuple
+
+from jaxtyping import UInt8
+from torch import Tensor
+
+from deblur_avatar.imaging.aligned_plates import aligned_plates
+from deblur_avatar.imaging.camera_motion import STILL, background_travel
+from deblur_avatar.imaging.matting import Plate, background_plate, no_plate
+
+logger = logging.getLogger(__name__)
+
+BackgroundKind = Literal["none", "median", "aligned", "matte", "auto"]
+KNOWN_SHARE = 0.3  # of the band around the person that aligned plates must know to be worth having
+
+
+class Background(NamedTuple):
+    """What is known of the background of one camera's frames."""
+
+    kind: BackgroundKind
+    plates: list[Plate] | None  # one a frame; None where nothing is taken away
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether plates are missing where a matte ends, so that colours there mean nothing."""
+        return self.kind in ("aligned", "matte")
+
+
+def background_of(
+    kind: BackgroundKind, frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
+) -> Background:
+    """Estimate the background of one camera's frames; `auto` is settled by what they show."""
+    if kind == "none":
+        return Background(kind, None)
+    if kind == "auto":
+        travel = background_travel(frames, mattes)
+        if travel is not None and travel < STILL:
+            logger.info("the camera stands still: one background for all frames")
+            kind = "median"
+        else:
+            kind = "aligned"
+    if kind == "median":
+        return Background(kind, [background_plate(frames, mattes)] * len(frames))
+    if kind == "aligned":
+        plates = aligned_plates(frames, mattes)
+        share = 0.0 if plates is None else _known_share(plates, mattes)
+        if plates is not None and share >= KNOWN_SHARE:
+            logger.info(
+                "the camera moves: aligned frames show %.0f %% of the background around the person",
+                100 * share,
+            )
+            return Background("aligned", plates)
+        logger.warning(
+            "the background cannot be measured (aligned frames show %.0f %% of it around the "
+            "person): pixels are taken as the mattes say, and edges of mattes are not compared",
+            100 * share,
+        )
+    return Background("matte", [no_plate(matte) for matte in mattes])
+
+
+def _known_share(plates: list[Plate], mattes: UInt8[Tensor, "F H W"]) -> float:
+    """Share of the mattes' soft pixels whose background is known."""
+    edges = [(matte > 0) & (matte < 255) for matte in mattes]
+    known = sum(int(plate.known[edge].sum()) for plate, edge in zip(plates, edges, strict=True))
+    return known / max(sum(int(edge.sum()) for edge in edges), 1)
