@@ -7,6 +7,7 @@ P body vertices, T triangles, N Gaussians, S instants inside one exposure.
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
@@ -55,6 +56,20 @@ class Observations(Artifact):
     def camera(self) -> Camera:
         """The training camera."""
         return self.cameras.camera(self.train_camera)
+
+    def comparable_part(
+        self, image: Float32[Tensor, "H W 3"], position: int
+    ) -> Float32[Tensor, "H W 3"]:
+        """A frame in [0, 1] or a render of it, black where colours mean nothing."""
+        if self.comparable is None:
+            return image
+        return image * (self.comparable[position].to(image) / 255)[..., None]
+
+    def comparable_frames(self) -> UInt8[Tensor, "F H W 3"]:
+        """All frames, black where colours mean nothing."""
+        if self.comparable is None:
+            return self.frames
+        return torch.where(self.comparable[..., None] > 127, self.frames, 0)
 
     def validate(self) -> None:
         """Refuse an unknown light, an empty training set, frames in two roles."""

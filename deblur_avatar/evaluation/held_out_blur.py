@@ -53,7 +53,10 @@ def reconstruct_held_out(
         names = {kind: f"{frame:04d}-{kind}.png" for kind in ("render", "averaged", "blurred")}
         pictures = {"render": render, "averaged": averaged, "blurred": blurred}
         files |= {names[kind]: picture for kind, picture in pictures.items()}
-        score = psnr(averaged[None].float() / 255, blurred[None].float() / 255)
+        pair = [
+            observations.comparable_part(p.float() / 255, position) for p in (averaged, blurred)
+        ]
+        score = psnr(pair[0][None], pair[1][None])
         entry = {"camera": name, "frame": frame, "novel_pose": False, "psnr": float(score)}
         index.append({**entry, **names})
     return files, index

@@ -34,7 +34,7 @@ def reblur(
 
     Returns:
         `psnr` over the frames set aside for validation (None without any) and `psnr_train` over
-        those trained on, dB, all pixels; data range 1, sRGB.
+        those trained on, dB, all pixels whose colours can be compared; data range 1, sRGB.
     """
 
     def mean(positions: Sequence[int]) -> float | None:
@@ -57,7 +57,9 @@ def mean_reblur_psnr(
             frame=nearest,
             average=True,
         )
-        return float(psnr(image.cpu(), observations.frames[position][None].float() / 255))
+        frame = observations.frames[position].float() / 255
+        pair = [observations.comparable_part(p, position) for p in (image[0].cpu(), frame)]
+        return float(psnr(pair[0][None], pair[1][None]))
 
     return sum(map(score, positions)) / len(positions) if positions else None
 

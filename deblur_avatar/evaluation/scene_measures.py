@@ -145,3 +145,18 @@ def saturated_share(observations: Observations) -> float | None:
     inside = observations.mattes > 2 * HALF - 4
     pixels = observations.frames[inside]
     return float((pixels >= SATURATED).any(-1).float().mean()) if len(pixels) else None
+
+
+def background_light(observations: Observations) -> float | None:
+    """Mean light where mattes say that nobody is, of 255: what no avatar of a person explains."""
+    outside = (observations.mattes == 0) & (observations.weights > 0)[:, None, None]
+    pixels = observations.comparable_frames()[outside]
+    return float(pixels.float().mean()) if len(pixels) else None
+
+
+def comparable_share(observations: Observations) -> float:
+    """Share of the person's coverage whose colours can be compared."""
+    if observations.comparable is None:
+        return 1.0
+    mattes = observations.mattes.float()
+    return float((mattes * observations.comparable / 255).sum() / mattes.sum().clamp(min=1))

@@ -57,7 +57,10 @@ def _residuals(
     exposed: Exposed, middle: float, observations: Observations, index: int
 ) -> tuple[float, float]:
     """Slope and curvature of half the squared residuals of one frame over the shutter."""
-    seen = observations.frames[index].float() / 255
-    shorter, here, longer = (exposed(index, middle + step) for step in (-STEP, 0.0, STEP))
+    seen = observations.comparable_part(observations.frames[index].float() / 255, index)
+    shorter, here, longer = (
+        observations.comparable_part(exposed(index, middle + step), index)
+        for step in (-STEP, 0.0, STEP)
+    )
     change = (longer - shorter) / (2 * STEP)
     return float((change * (here - seen)).sum()), float(change.square().sum())

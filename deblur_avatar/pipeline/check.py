@@ -17,7 +17,9 @@ from deblur_avatar.config.section import (
 )
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.scene_measures import (
+    background_light,
     blur_extent,
+    comparable_share,
     coverage,
     cut_off_share,
     height_px,
@@ -79,6 +81,16 @@ _SCALES = {
         "Body and mask differ: look at check.png. Wide clothes do no harm; a mask of another "
         "person or with objects in it does, and so does a wrong focal length.",
     ),
+    "background_light": _Scale(
+        2.0, 12.0, "of 255",
+        "Frames show a background that nothing takes away, and the avatar would be made of it: set "
+        "preprocess.background to auto.",
+    ),
+    "comparable_share": _Scale(
+        0.7, 0.35, "share of the person",
+        "The background is unknown where the person ends, and colours there are not compared: film "
+        "with a camera that stands still, or bring masks with exact edges.",
+    ),
     "cut_off_share": _Scale(
         0.05, 0.5, "share of frames",
         "The person leaves the picture: what is cut off is not modelled. Choose other frames.",
@@ -126,6 +138,8 @@ def check_scene(observations: Observations, fit: Mapping[str, Any]) -> dict[str,
         "person_height_px": height,
         "reprojection_share": reprojection_share(observations, fit, height),
         "mask_body_iou": mask_body_iou(observations),
+        "background_light": background_light(observations),
+        "comparable_share": comparable_share(observations),
         "cut_off_share": cut_off_share(observations, shown),
         "view_coverage_degrees": coverage(azimuths),
         "blur_share": max(blur.values()) / height if blur and height else None,

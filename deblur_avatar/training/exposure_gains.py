@@ -39,7 +39,7 @@ class ExposureGains:
     def observe(self, frame: int, render: Float[Tensor, "H W 3"], target: Target) -> None:
         """Compare a frame with its render, which has no gain yet."""
         seen = srgb_to_linear(target.image) if self._light == "linear" else target.image
-        inside = target.matte[..., None]
+        inside = target.comparable_part(target.matte[..., None])
         ratio = (seen * inside).sum() / (render.detach() * inside).sum().clamp(min=1e-6)
         found = ratio.clamp(min=1e-6).log().clamp(-MAX_VALUE, MAX_VALUE)
         visits = int(self._visits[frame])

@@ -52,7 +52,8 @@ class Objective:
         self, compared: list[tuple[float, Tensor]], alpha: Tensor, target: Target
     ) -> dict[str, Tensor]:
         """How far pictures (with their shares) and coverage are from a frame and its matte."""
-        images = [(share, encode(image, self._avatar.light)) for share, image in compared]
+        light = self._avatar.light
+        images = [(w, target.comparable_part(encode(image, light))) for w, image in compared]
         terms = {}
         for name, (row, compare) in self._losses.items():
             if row.region == "coverage":

@@ -17,10 +17,15 @@ BOX_MARGIN = 8  # pixels around the person in which structure is compared
 class Target:
     """One training frame: what was seen, where the person is in it, how far it is trusted."""
 
-    image: Float[Tensor, "H W 3"]
+    image: Float[Tensor, "H W 3"]  # black where not comparable
     matte: Float[Tensor, "H W"]
+    comparable: Float[Tensor, "H W"] | None  # 1 where colours mean something; None: everywhere
     box: tuple[int, int, int, int]
     weight: float  # in (0, 1], of what is compared with this frame
+
+    def comparable_part(self, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+        """A render, black where the frame's colours mean nothing."""
+        return image if self.comparable is None else image * self.comparable[..., None]
 
 
 def target_of(observations: Observations, index: int, device: torch.device) -> Target:
@@ -41,4 +46,8 @@ def target_of(observations: Observations, index: int, device: torch.device) -> T
         min(int(columns.max()) + BOX_MARGIN + 1, width),
         min(int(rows.max()) + BOX_MARGIN + 1, height),
     )
-    return Target(image, matte, box, float(observations.weights[index]))
+    comparable = None
+    if observations.comparable is not None:
+        comparable = observations.comparable[index].to(device).float() / 255
+        image = image * comparable[..., None]
+    return Target(image, matte, comparable, box, float(observations.weights[index]))

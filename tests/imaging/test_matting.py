@@ -5,7 +5,9 @@ from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.matting import (
     Plate,
     background_plate,
+    comparable_pixels,
     lift_person,
+    no_plate,
     trim_mattes,
 )
 
@@ -106,3 +108,22 @@ def test_nothing_is_trimmed_where_the_background_is_unknown():
     spilled[3] = 255
     unknown = Plate(frames[0], torch.zeros(HEIGHT, WIDTH, dtype=torch.bool))
     assert torch.equal(trim_mattes(frames, spilled, [unknown] * len(frames)), spilled)
+
+
+def test_colours_count_inside_and_outside_but_not_in_an_unknown_edge():
+    mattes = torch.zeros(1, 200, 100, dtype=torch.uint8)
+    mattes[0, 50:150, 30:70] = 255
+    mattes[0, 50:150, 28:30] = 100
+    unknown = comparable_pixels(mattes, [no_plate(matte) for matte in mattes])[0]
+    assert unknown[100, 50] == 255
+    assert unknown[100, 10] == 255
+    assert unknown[100, 28:31].max() == 0
+    known = no_plate(mattes[0])._replace(known=torch.ones(200, 100, dtype=torch.bool))
+    assert comparable_pixels(mattes, [known]).min() == 255
+
+
+def test_without_a_plate_a_pixel_is_what_its_matte_says():
+    frames = torch.full((1, 8, 8, 3), 200, dtype=torch.uint8)
+    mattes = torch.tensor([0, 51, 255, 255] * 2, dtype=torch.uint8).expand(1, 8, 8).contiguous()
+    lifted = lift_person(frames, mattes, [no_plate(matte) for matte in mattes], "srgb")
+    assert lifted[0, 0, :, 0].tolist() == [0, 40, 200, 200] * 2

@@ -102,6 +102,25 @@ def test_saturated_pixels_and_people_cut_off_are_found(seen):
     assert verdicts(dataclasses.replace(seen, mattes=mattes))["cut_off_share"] == "fail"
 
 
+def test_a_background_that_nothing_takes_away_is_found(seen):
+    outside = seen.mattes[..., None] == 0
+    black, grey = (torch.where(outside, level, seen.frames).to(torch.uint8) for level in (0, 90))
+    assert verdicts(dataclasses.replace(seen, frames=black))["background_light"] == "ok"
+    room = dataclasses.replace(seen, frames=grey)
+    finding = check_scene(room, {})["findings"]["background_light"]
+    assert finding["verdict"] == "fail"
+    assert "preprocess.background" in finding["advice"]
+    # What is not compared does no harm.
+    masked = dataclasses.replace(room, comparable=torch.where(seen.mattes == 0, 0, 255).byte())
+    assert verdicts(masked)["background_light"] == "ok"
+
+
+def test_a_person_who_is_hardly_compared_is_found(seen):
+    assert verdicts(seen)["comparable_share"] == "ok"
+    none = dataclasses.replace(seen, comparable=torch.zeros_like(seen.mattes))
+    assert verdicts(none)["comparable_share"] == "fail"
+
+
 def test_what_preprocess_measured_is_judged_too(seen):
     height = check_scene(seen, {})["findings"]["person_height_px"]["value"]
     fit = {"fit": {"front": {"reprojection_px": 0.04 * height}}, "track": {"speed_ratio": 4.0}}
