@@ -117,7 +117,7 @@ def observations(size: int) -> Observations:
         train=tuple(range(FRAMES)),
         validation=(),
         depth_known=True,
-        hidden=0.5,
+        occluded_fraction=0.5,
     )
 
 

@@ -96,7 +96,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
             train=tuple(range(frames - 1)),
             validation=(frames - 1,),
             depth_known=True,
-            hidden=0.5,
+            occluded_fraction=0.5,
         )
 
     return make

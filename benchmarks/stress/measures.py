@@ -85,7 +85,7 @@ def measure(
         "shutter_s": fitted.shutter,
         "shutter_std_s": fitted.shutter_std,
         "given_exposure_s": observations.exposure,
-        "hidden": observations.hidden,
+        "hidden": observations.occluded_fraction,
         "finite": math.isfinite(content["image"]["psnr"]),
         "seconds": fitted.seconds,
         "digest": _digest(avatar),

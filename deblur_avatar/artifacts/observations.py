@@ -4,6 +4,7 @@ Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B s
 P body vertices, T triangles, N Gaussians, S instants inside one exposure.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -29,10 +30,12 @@ class Observations(Artifact):
     aside.
     `weights` in [0, 1] say how far a frame's pose is to be trusted; 0 for frames without a person.
     `depth_known`: the poses tell how far joints are from the camera better than one camera can.
-    `hidden` is the share of the body's surface that the training camera sees in no training frame.
+    `occluded_fraction` is the share of the body's surface that the training camera sees in no
+    training frame.
     """
 
     schema: ClassVar[str] = "observations/2"
+    names_on_disk: ClassVar[Mapping[str, str]] = {"occluded_fraction": "hidden"}
 
     frames: UInt8[Tensor, "F H W 3"]
     mattes: UInt8[Tensor, "F H W"]
@@ -50,7 +53,7 @@ class Observations(Artifact):
     train: tuple[int, ...]  # positions in this artifact
     validation: tuple[int, ...]
     depth_known: bool
-    hidden: float
+    occluded_fraction: float
 
     @property
     def camera(self) -> Camera:

@@ -11,6 +11,7 @@ import math
 import shutil
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -41,6 +42,8 @@ class Artifact:
     """
 
     schema: ClassVar[str]
+    # What fields are called in the files, where the code has another name by now.
+    names_on_disk: ClassVar[Mapping[str, str]] = {}
 
     def __post_init__(self) -> None:
         try:
@@ -85,8 +88,8 @@ class Artifact:
     def _write(self, folder: Path) -> None:
         manifest: dict[str, Any] = {"schema": self.schema}
         tensors: dict[str, Tensor] = {}
-        for name, kind in _fields(type(self)).items():
-            value = getattr(self, name)
+        for field, kind in _fields(type(self)).items():
+            value, name = getattr(self, field), self.names_on_disk.get(field, field)
             if value is None:
                 continue
             if isinstance(value, Artifact):
@@ -122,24 +125,25 @@ class Artifact:
         except (OSError, SafetensorError) as error:
             raise ArtifactError(f"{folder}/tensors.safetensors: {error}; {_REMEDY}") from error
         values: dict[str, Any] = {}
-        for name, kind in _fields(cls).items():
+        for field, kind in _fields(cls).items():
+            name = cls.names_on_disk.get(field, field)
             where = f"{folder}: {name}"
             nested = _artifact_class(kind)
             if nested is not None and (folder / name).is_dir():
-                values[name] = nested.load(folder / name)
+                values[field] = nested.load(folder / name)
             elif name in tensors:
-                values[name] = tensors[name]
+                values[field] = tensors[name]
             elif name not in manifest:
-                values[name] = None
+                values[field] = None
             elif _is_image(kind):
-                values[name] = _read_images(folder / name, manifest[name], where)
+                values[field] = _read_images(folder / name, manifest[name], where)
             elif kind == dict[str, Tensor]:
                 try:
-                    values[name] = {key: tensors[f"{name}.{key}"] for key in manifest[name]}
+                    values[field] = {key: tensors[f"{name}.{key}"] for key in manifest[name]}
                 except (KeyError, TypeError) as error:
                     raise ArtifactError(f"{where}: lacks {error}; {_REMEDY}") from error
             else:
-                values[name] = _json_value(manifest[name], kind)
+                values[field] = _json_value(manifest[name], kind)
         try:
             return cls(**values)
         except ArtifactError as error:

@@ -114,7 +114,7 @@ class NetworksFitting(SplatFitting):
             rates["latents"] = LearningRate(rate, final_share, weight_decay=decay)
         return rates
 
-    def weights(self, step: TrainingStep, hidden: float) -> Mapping[str, float]:
+    def weights(self, step: TrainingStep, occluded_fraction: float) -> Mapping[str, float]:
         """Isometry's, and that of the distance from the body's blend weights."""
         weights = self.regularisers.model_dump()
         if self.skinning is not None:

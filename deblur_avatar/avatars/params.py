@@ -53,12 +53,12 @@ class FittingParams(Params):
         """The rate of each parameter group; `final_share` is that of the networks at the end."""
         return {}
 
-    def weights(self, step: Any, hidden: float) -> Mapping[str, float]:
+    def weights(self, step: Any, occluded_fraction: float) -> Mapping[str, float]:
         """Weights of the avatar's regularisers.
 
         Args:
             step: of fitting (`TrainingStep`).
-            hidden: share of the body that no frame shows.
+            occluded_fraction: share of the body that no frame shows.
         """
         return {}
 

@@ -40,9 +40,12 @@ class PlainFitting(SplatFitting):
 
     regularisers: SmoothnessParams
 
-    def weights(self, step: TrainingStep, hidden: float) -> Mapping[str, float]:
-        """By the square of what is hidden of the body."""
-        return {name: hidden**2 * value for name, value in self.regularisers.model_dump().items()}
+    def weights(self, step: TrainingStep, occluded_fraction: float) -> Mapping[str, float]:
+        """By the square of the occluded fraction."""
+        return {
+            name: occluded_fraction**2 * value
+            for name, value in self.regularisers.model_dump().items()
+        }
 
 
 class PlainAvatar(SplatAvatar):

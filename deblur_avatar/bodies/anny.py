@@ -166,8 +166,8 @@ def population_coefficients(model: Any) -> Float[Tensor, "L M"]:
             low, high = _UNIFORM[label]
             columns.append(low + (high - low) * share)
         else:
-            centre, spread = _NORMAL[label]
-            columns.append((centre + spread * torch.special.ndtri(share)).clamp(0, 1))
+            centre, std = _NORMAL[label]
+            columns.append((centre + std * torch.special.ndtri(share)).clamp(0, 1))
     return phenotype_coefficients(model, torch.stack(columns, 1))
 
 

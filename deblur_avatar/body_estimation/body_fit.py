@@ -340,13 +340,13 @@ def _outlines(
 ) -> Float[Tensor, ""]:
     """Outlines both ways, in every view, of some frames."""
     total = points.new_zeros(())
-    outlines, spread = problem.outlines, OUTLINE_SHARE * problem.extent
+    outlines, sigma = problem.outlines, OUTLINE_SHARE * problem.extent
     for view, camera in enumerate(zip(problem.Ks, problem.viewmats, strict=True)):
         surface, _ = project(points, *camera)
-        outside = distance_outside(outlines.outside[view, frames], surface) / spread
+        outside = distance_outside(outlines.outside[view, frames], surface) / sigma
         partner = partners[view][frames, :, None].expand(-1, -1, 2)
         gap = outlines.outline[view, frames] - surface.gather(1, partner)
-        along = (gap * outlines.normals[view, frames]).sum(-1) / spread
+        along = (gap * outlines.normals[view, frames]).sum(-1) / sigma
         both = _saturating(outside.square()).mean(1) + _saturating(along.square()).mean(1)
         total = total + OUTLINE_WEIGHT * (both * outlines.shown[view, frames]).sum()
     return total
@@ -366,8 +366,8 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     limits, marks = problem.limits, problem.marks
     pose = posed.body_pose
     beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
-    relaxed = pose / limits.spread[:, None]
-    offsets = (unknowns.offsets - marks.offsets) / marks.spreads[:, None]
+    relaxed = pose / limits.std[:, None]
+    offsets = (unknowns.offsets - marks.offsets) / marks.stds[:, None]
     step = problem.interval**2
     acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
     rotations = torch.cat([posed.turn[:, None], pose], dim=1)

@@ -22,7 +22,7 @@ class _Mark(NamedTuple):
     carrier: str
     anchor: str
     offset: tuple[float, float, float]  # expected
-    spread: float  # standard deviation of the offset about that
+    std: float  # standard deviation of the offset about that
 
 
 JOINT_SPREAD = 0.02  # how far a detector's idea of a joint is from a body model's
@@ -55,7 +55,7 @@ class LandmarkMap(NamedTuple):
     shared: tuple[int, ...]  # which of the M offsets each landmark has
     mirror: Float[Tensor, "L 3"]  # -1 where the offset is mirrored
     offsets: Float[Tensor, "M 3"]  # expected, metres
-    spreads: Float[Tensor, " M"]  # metres
+    stds: Float[Tensor, " M"]  # metres
 
     def positions(
         self,
@@ -94,5 +94,5 @@ def landmark_map() -> LandmarkMap:
         shared=tuple(shared),
         mirror=torch.tensor(mirror),
         offsets=torch.tensor([mark.offset for mark in _MARKS]),
-        spreads=torch.tensor([mark.spread for mark in _MARKS]),
+        stds=torch.tensor([mark.std for mark in _MARKS]),
     )

@@ -55,12 +55,12 @@ def lift(
     weights = confidences.double()
     # A residual of these equations is pixels times metres of depth.
     depth = _typical_depth(guess, confidences, f, extent)
-    spread = PIXEL_SHARE * extent * depth
+    sigma = PIXEL_SHARE * extent * depth
     way = torch.zeros(len(pixels), 3).double()
     for _ in range(ROUNDS):
-        way = _smooth_way(rows / spread, right / spread, weights, basis, interval)
+        way = _smooth_way(rows / sigma, right / sigma, weights, basis, interval)
         errors = ((rows @ way[:, None, :, None])[..., 0] - right).norm(dim=-1)
-        weights = confidences.double() / (1 + (errors / spread).square())
+        weights = confidences.double() / (1 + (errors / sigma).square())
     points = guess + way[:, None]
     inverse = torch.linalg.inv(viewmat.double())
     world = points @ inverse[:3, :3].T + inverse[:3, 3]

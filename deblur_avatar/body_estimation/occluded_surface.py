@@ -16,7 +16,7 @@ FRAMES = 24  # at most, spread over the clip
 CELLS = 1  # a triangle
 
 
-def hidden_share(body: Body, poses: Poses, cameras: Cameras, camera: int) -> float:
+def occluded_fraction(body: Body, poses: Poses, cameras: Cameras, camera: int) -> float:
     """Share of the area that is seen in no frame, in [0, 1].
 
     Args:

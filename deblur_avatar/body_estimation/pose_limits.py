@@ -21,7 +21,7 @@ class _Limit(NamedTuple):
     x: Range  # for legs: + bends the knee, - lifts the thigh
     y: Range
     z: Range
-    spread: float  # degrees about zero, where nothing else is known
+    std: float  # degrees about zero, where nothing else is known
 
 
 _LIMITS = (
@@ -47,7 +47,7 @@ class PoseLimits(NamedTuple):
 
     low: Float[Tensor, "K 3"]
     high: Float[Tensor, "K 3"]
-    spread: Float[Tensor, " K"]
+    std: Float[Tensor, " K"]
 
 
 def pose_limits() -> PoseLimits:
@@ -55,7 +55,7 @@ def pose_limits() -> PoseLimits:
 
     A right joint's rotation is the left one's seen in a mirror: y and z change sign.
     """
-    low, high, spread = [], [], []
+    low, high, std = [], [], []
     for name in SMPL_JOINT_NAMES[1:]:
         limit = next(item for item in _LIMITS if item.joint == name.replace("right", "left"))
         x, y, z = limit.x, limit.y, limit.z
@@ -63,6 +63,6 @@ def pose_limits() -> PoseLimits:
             y, z = (-y[1], -y[0]), (-z[1], -z[0])
         low.append([x[0], y[0], z[0]])
         high.append([x[1], y[1], z[1]])
-        spread.append(limit.spread)
+        std.append(limit.std)
     box = torch.deg2rad(torch.tensor([low, high], dtype=torch.float32))
-    return PoseLimits(box[0], box[1], torch.deg2rad(torch.tensor(spread, dtype=torch.float32)))
+    return PoseLimits(box[0], box[1], torch.deg2rad(torch.tensor(std, dtype=torch.float32)))

@@ -123,14 +123,14 @@ def averaged(results: Iterable[Result], *, complete: bool = False) -> Result:
     return mean
 
 
-def spread(results: Iterable[Result]) -> Result:
+def standard_deviations(results: Iterable[Result]) -> Result:
     """Standard deviation of each number over several scenes, where two or more measured it."""
     every = list(results)
     deviations: Result = {}
     for key in dict.fromkeys(key for result in every for key in result):
         values = [result[key] for result in every if result.get(key) is not None]
         if values and all(isinstance(value, dict) for value in values):
-            deviations[key] = spread(values)
+            deviations[key] = standard_deviations(values)
         elif len(values) > 1 and all(_is_number(value) for value in values):
             deviations[key] = stdev(values)
     return deviations

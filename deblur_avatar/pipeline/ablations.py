@@ -1,6 +1,6 @@
-"""The paper's ablations in the form of its tables: means and spreads over seeds.
+"""The paper's ablations in the form of its tables: means and standard deviations over seeds.
 
-Conventions. A spread is the standard deviation over seeds (n - 1). Recovery is taken within each
+Conventions. A standard deviation is over seeds (n - 1). Recovery is taken within each
 seed, against that seed's own `agnostic` and `oracle`. What the paper measured stands beside, from
 another data set (ZJU-MoCap with synthetic blur): only which row is better can be compared.
 """
@@ -17,7 +17,7 @@ from deblur_avatar.evaluation.recovery import (
     Result,
     averaged,
     compared,
-    spread,
+    standard_deviations,
 )
 from deblur_avatar.pipeline.report import read_learning_curves, read_results
 from deblur_avatar.reporting.charts import chart_files
@@ -148,7 +148,7 @@ class _Seeds:
     count: int
     results: Mapping[str, Sequence[Result]]  # one a seed
     means: Mapping[str, Result]
-    spreads: Mapping[str, Result]
+    deviations: Mapping[str, Result]
     curves: Mapping[str, Result]  # means
 
 
@@ -162,11 +162,14 @@ def report_ablations(
             the way are of other iterations from seed to seed.
     """
     seeds = _gathered(folders, runs, scene)
-    about = f"Scene {scene}, schedule {schedule}, novel views, {seeds.count} seeds: mean ± spread."
+    about = (
+        f"Scene {scene}, schedule {schedule}, novel views, {seeds.count} seeds: mean ± standard "
+        "deviation."
+    )
     tables = [table for section in SECTIONS if (table := _table(section, seeds)).rows]
     text = f"{about} Columns marked paper*: the paper's own numbers, of another data set.\n\n"
     text += "\n".join(f"### {t.title}\n\n{t.note}\n\n{markdown(t)}" for t in tables)
-    rows = rows_of_methods({scene: seeds.means}, {scene: seeds.spreads})
+    rows = rows_of_methods({scene: seeds.means}, {scene: seeds.deviations})
     charts = chart_files("speed_accuracy", rows)
     charts |= chart_files("quality_over_time", rows_over_time({scene: seeds.curves}))
     pictures = {Path(f).stem: charts[f].decode() for f in charts if f.endswith(".svg")}
@@ -194,8 +197,8 @@ def _gathered(folders: Sequence[Path], runs: Mapping[str, RunParams], scene: str
         )
     mean_curves = {method: _mean_curve(method, found) for method, found in kept.items()}
     means = {method: averaged(results) for method, results in every.items()}
-    spreads = {method: spread(results) for method, results in every.items()}
-    return _Seeds(count, every, with_speed(means, mean_curves), spreads, mean_curves)
+    deviations = {method: standard_deviations(results) for method, results in every.items()}
+    return _Seeds(count, every, with_speed(means, mean_curves), deviations, mean_curves)
 
 
 def _mean_curve(method: str, curves: Sequence[Result]) -> Result:
@@ -236,8 +239,8 @@ def _table(section: Section, seeds: _Seeds) -> Table:
 
 
 def _measured(seeds: _Seeds, method: str) -> list[tuple[Column, float | None, float | None]]:
-    """Each column's mean and spread over results of one method."""
-    mean, scatter = seeds.means[method], seeds.spreads[method]
+    """Each column's mean and standard deviation over results of one method."""
+    mean, scatter = seeds.means[method], seeds.deviations[method]
     return [(c, look_up(mean, c.path), look_up(scatter, c.path)) for c in _columns()]
 
 
@@ -251,5 +254,5 @@ def _summary(seeds: _Seeds, scene: str, schedule: str) -> dict[str, Any]:
     for method, results in seeds.results.items():
         content[method] = {"seeds": len(results)}
         for column, mean, scatter in _measured(seeds, method):
-            content[method]["_".join(column.path)] = {"mean": mean, "spread": scatter}
+            content[method]["_".join(column.path)] = {"mean": mean, "std": scatter}
     return {"scene": scene, "schedule": schedule, "methods": content}

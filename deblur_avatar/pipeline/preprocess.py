@@ -24,7 +24,7 @@ from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.body_estimation.body_fit import fit_body
 from deblur_avatar.body_estimation.fit_quality import measure_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
-from deblur_avatar.body_estimation.occluded_surface import hidden_share
+from deblur_avatar.body_estimation.occluded_surface import occluded_fraction
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.config.section import (
@@ -188,7 +188,9 @@ def _observations(
         train=train,
         validation=validation,
         depth_known=params.depth == "known",
-        hidden=hidden_share(body, track.poses.at(list(train)), cameras, clip.train_camera),
+        occluded_fraction=occluded_fraction(
+            body, track.poses.at(list(train)), cameras, clip.train_camera
+        ),
     )
 
 
@@ -227,7 +229,7 @@ def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) ->
             "train": len(blurred.train),
             "validation": len(blurred.validation),
         },
-        "hidden": blurred.hidden,
+        "hidden": blurred.occluded_fraction,
         "fit": track.fit,
         "landmarks_found_wrong": track.flags,
         "track": smoothness,

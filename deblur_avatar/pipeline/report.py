@@ -20,7 +20,7 @@ from deblur_avatar.evaluation.costs import read_costs, with_seconds
 from deblur_avatar.evaluation.recovery import (
     compared,
     pooled,
-    spread,
+    standard_deviations,
 )
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.reporting.charts import CHARTS, chart_files
@@ -175,10 +175,11 @@ def _repeated(scenes: Mapping[str, Results]) -> Table | None:
     methods = next(iter(scenes.values()))
     means = {method: pooled(scenes, method) for method in methods}
     deviations = {
-        method: spread([results[method] for results in scenes.values()]) for method in methods
+        method: standard_deviations([results[method] for results in scenes.values()])
+        for method in methods
     }
     title = f"Mean over {len(scenes)} scenes \u00b1 standard deviation"
-    return results_table(means, short_columns(means), spreads=deviations, title=title)
+    return results_table(means, short_columns(means), deviations=deviations, title=title)
 
 
 def read_results(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Results]:

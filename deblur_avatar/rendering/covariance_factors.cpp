@@ -1,7 +1,7 @@
 // Rotations times scales of many Gaussians, and their gradients.
 //
 // For every Gaussian, with t = (1, turn) where there are turns, q = t quat (Hamilton's product):
-//   spread = R(q) diag(scales), R(q) the rotation of q / |q|.
+//   factor = R(q) diag(scales), R(q) the rotation of q / |q|.
 // Each Gaussian is on its own: results do not depend on the number of threads. Sums of covariance_factors,
 // and of the gradients of quats and scales without turns, are not contracted and are in torch's order.
 
@@ -53,7 +53,7 @@ inline Quat turned(const float *quat, const float *turn) {
 extern "C" {
 
 // quats [N, 4], scales [N, 3], turns [N, 3] or null; covariance_factors [N, 9].
-void spread(int64_t gaussians, int threads, const float *quats, const float *scales,
+void factors(int64_t gaussians, int threads, const float *quats, const float *scales,
             const float *turns, float *covariance_factors) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t n = 0; n < gaussians; ++n) {
@@ -65,7 +65,7 @@ void spread(int64_t gaussians, int threads, const float *quats, const float *sca
     }
 }
 
-void spread_backward(int64_t gaussians, int threads, const float *quats, const float *scales,
+void factors_backward(int64_t gaussians, int threads, const float *quats, const float *scales,
                      const float *turns, const float *covariance_factors_grad, float *quats_grad,
                      float *scales_grad, float *turns_grad) {
 #pragma omp parallel for num_threads(threads) schedule(static)
@@ -115,7 +115,7 @@ void spread_backward(int64_t gaussians, int threads, const float *quats, const f
     }
 }
 
-// covariance_factors [N, 9]; covars [N, 6]: xx, xy, xz, yy, yz, zz of spread spread^T.
+// covariance_factors [N, 9]; covars [N, 6]: xx, xy, xz, yy, yz, zz of factor factor^T.
 void covariances(int64_t gaussians, int threads, const float *covariance_factors, float *covars) {
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t n = 0; n < gaussians; ++n) {

@@ -1,7 +1,7 @@
 """Covariance factors M = R S of Gaussians, and the covariances M M^T.
 
-Conventions. A *spread* is a Gaussian's rotation times its scales, metres; its covariance is spread
-spread^T, its upper triangle xx, xy, xz, yy, yz, zz. Quaternions need not be of unit length. A
+Conventions. A *factor* is a Gaussian's rotation times its scales, metres; its covariance is factor
+factor^T, its upper triangle xx, xy, xz, yy, yz, zz. Quaternions need not be of unit length. A
 *turn* is the imaginary part of a rotation whose real part is 1, done after the Gaussian's own.
 
 Float32 tensors on the CPU go through a native kernel: in plain torch a dozen calls over short rows
@@ -80,7 +80,7 @@ class _CovarianceFactors(torch.autograd.Function):
     def forward(ctx: Any, quats: Tensor, scales: Tensor, turns: Tensor | None) -> Tensor:
         inputs = [None if v is None else v.contiguous() for v in (quats, scales, turns)]
         found = quats.new_empty(len(quats), 3, 3)
-        _call("spread", len(quats), *inputs, found)
+        _call("factors", len(quats), *inputs, found)
         ctx.save_for_backward(*inputs)
         return found
 
@@ -89,7 +89,7 @@ class _CovarianceFactors(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         inputs = ctx.saved_tensors
         grads = tuple(None if value is None else torch.empty_like(value) for value in inputs)
-        _call("spread_backward", len(grad), *inputs, grad.contiguous(), *grads)
+        _call("factors_backward", len(grad), *inputs, grad.contiguous(), *grads)
         return grads
 
 
@@ -127,7 +127,7 @@ def _library() -> ctypes.CDLL | None:
     except BuildError as error:
         warnings.warn(f"Gaussians are turned in plain torch, slowly: {error}", stacklevel=2)
         return None
-    tensors = {"spread": 4, "spread_backward": 7, "covariances": 2, "covariances_backward": 3}
+    tensors = {"factors": 4, "factors_backward": 7, "covariances": 2, "covariances_backward": 3}
     for name, count in tensors.items():
         function = getattr(library, name)
         function.argtypes = [ctypes.c_int64, ctypes.c_int, *[ctypes.c_void_p] * count]

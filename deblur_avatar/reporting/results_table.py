@@ -102,7 +102,7 @@ def results_table(
     missing: str = NOT_MEASURED,
     bounds: Sequence[str] = BOUNDS,
     of: str = "method",
-    spreads: Mapping[str, Mapping[str, Any]] | None = None,
+    deviations: Mapping[str, Mapping[str, Any]] | None = None,
     title: str = "",
     note: str = "",
 ) -> Table:
@@ -114,7 +114,7 @@ def results_table(
         missing: what stands where a number is not there.
         bounds: rows that are not ranked.
         of: what a row is.
-        spreads: by method, how far the numbers scatter; shown behind them.
+        deviations: by method, how far the numbers scatter; shown behind them.
         title: above the table.
         note: below it.
     """
@@ -125,7 +125,7 @@ def results_table(
         values = {method: look_up(results[method], column.path) for method in methods}
         ranks = _ranks({m: _rounded(values[m], column) for m in contestants}, column.better)
         for method, value in values.items():
-            scatter = look_up((spreads or {}).get(method, {}), column.path)
+            scatter = look_up((deviations or {}).get(method, {}), column.path)
             text = shown_with_spread(value, scatter, column, missing)
             cells[method].append(Cell(text, ranks.get(method)))
     return Table(
@@ -168,13 +168,13 @@ def shown(value: float | None, column: Column, missing: str = NOT_MEASURED) -> s
 
 
 def shown_with_spread(
-    value: float | None, spread: float | None, column: Column, missing: str = NOT_MEASURED
+    value: float | None, std: float | None, column: Column, missing: str = NOT_MEASURED
 ) -> str:
     """A number and how far it scatters, where both are known."""
     text = shown(value, column, missing)
-    if value is None or spread is None:
+    if value is None or std is None:
         return text
-    return f"{text} \u00b1 {shown(spread, column)}"
+    return f"{text} \u00b1 {shown(std, column)}"
 
 
 def markdown(table: Table) -> str:

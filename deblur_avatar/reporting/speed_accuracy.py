@@ -86,32 +86,32 @@ def seconds_to(curve: Sequence[tuple[float, float]], goal: float) -> float | Non
 
 
 def rows_of_methods(
-    scenes: Mapping[str, Results], spreads: Mapping[str, Results] | None = None
+    scenes: Mapping[str, Results], deviations: Mapping[str, Results] | None = None
 ) -> list[Row]:
     """One row for each scene and method of which time and quality are known.
 
     Args:
         scenes: results by scene and method.
-        spreads: standard deviations of the results that are means, by scene and method.
+        deviations: standard deviations of the results that are means, by scene and method.
     """
     rows = []
     for scene, results in scenes.items():
-        scatter = (spreads or {}).get(scene, {})
+        scatter = (deviations or {}).get(scene, {})
         for method in method_order(results):
             result = results[method]
             seconds = look_up(result, ("cost", "train_s"))
             psnr = look_up(result, QUALITY)
             if seconds is not None and psnr is not None:
                 speed = result.get("speed") or {}
-                spread = look_up(scatter.get(method, {}), QUALITY)
+                std = look_up(scatter.get(method, {}), QUALITY)
                 rows.append(
                     {
                         "scene": scene,
                         "method": method,
                         "training_s": round(seconds, 1),
                         "psnr_db": round(psnr, 3),
-                        "psnr_low_db": None if spread is None else round(psnr - spread, 3),
-                        "psnr_high_db": None if spread is None else round(psnr + spread, 3),
+                        "psnr_low_db": None if std is None else round(psnr - std, 3),
+                        "psnr_high_db": None if std is None else round(psnr + std, 3),
                         "render_fps": _rounded(look_up(result, ("cost", "render_fps")), 1),
                         "memory_mb": _rounded(look_up(result, ("cost", "peak_memory_mb")), 0),
                         "disk_mb": _rounded(look_up(speed, ("disk_mb",)), 3),

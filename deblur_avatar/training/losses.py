@@ -86,8 +86,8 @@ def dissimilarity(
             for moment in (x, y, x * x, y * y, x * y)
         )
         level = (2 * mean_x * mean_y + K1**2) / (mean_x**2 + mean_y**2 + K1**2)
-        spread = xx - mean_x**2 + yy - mean_y**2 + K2**2
-        total = total + (1 - level * (2 * (xy - mean_x * mean_y) + K2**2) / spread).mean() / 2
+        scale = xx - mean_x**2 + yy - mean_y**2 + K2**2
+        total = total + (1 - level * (2 * (xy - mean_x * mean_y) + K2**2) / scale).mean() / 2
         pair = [torch.nn.functional.avg_pool2d(p, 2, ceil_mode=True) for p in pair]
     return total / STRUCTURE_SCALES
 

@@ -67,7 +67,7 @@ class Objective:
     def regularisers(self, rendering: Rendering, step: TrainingStep) -> dict[str, Tensor]:
         """What the avatar is held to, whatever it looks like."""
         terms = self._avatar.regularisers(rendering, step)
-        weights = step.fitting.weights(step, self._observations.hidden)
+        weights = step.fitting.weights(step, self._observations.occluded_fraction)
         return {name: weights[name] * term() for name, term in terms.items() if weights[name] > 0}
 
     def priors(self, index: int, instants: Instants) -> dict[str, Tensor]:

@@ -19,7 +19,7 @@ def test_the_rest_pose_is_allowed():
     limits = pose_limits()
     assert (limits.low <= 0).all()
     assert (limits.high >= 0).all()
-    assert (limits.spread > 0).all()
+    assert (limits.std > 0).all()
 
 
 def test_knees_and_elbows_bend_one_way():

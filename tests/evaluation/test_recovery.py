@@ -7,7 +7,7 @@ from deblur_avatar.evaluation.recovery import (
     pooled,
     recovery,
     share_won_back,
-    spread,
+    standard_deviations,
 )
 
 PSNR, FLIP = metric("psnr"), metric("flip")
@@ -129,7 +129,7 @@ def test_the_gap_over_scenes_is_averaged_where_there_is_a_ceiling():
 
 
 def test_numbers_scatter_over_scenes_where_two_measured_them():
-    deviations = spread(
+    deviations = standard_deviations(
         [
             {"scene": "a", "image": {"psnr": 20.0, "lpips": None, "new": 1.0}},
             {"scene": "b", "image": {"psnr": 22.0, "lpips": None}},
@@ -137,4 +137,4 @@ def test_numbers_scatter_over_scenes_where_two_measured_them():
         ]
     )
     assert deviations == {"image": {"psnr": 2.0}}
-    assert spread([{"psnr": 1.0}]) == {}
+    assert standard_deviations([{"psnr": 1.0}]) == {}

@@ -60,7 +60,7 @@ def results(tmp_path):
 def test_numbers_are_means_and_spreads_over_seeds(results):
     report = gathered(results)
     paper = report.summary["methods"]["paper"]
-    assert paper["image_psnr"] == {"mean": 28.0, "spread": pytest.approx(2**0.5)}
+    assert paper["image_psnr"] == {"mean": 28.0, "std": pytest.approx(2**0.5)}
     assert paper["seeds"] == 2
     assert "| full | 28.00 \u00b1 1.41 |" in report.tables
 
@@ -89,7 +89,7 @@ def test_one_seed_has_no_spread(tmp_path):
     write(tmp_path, 0, "agnostic", 26.0)
     write(tmp_path, 0, "paper", 28.0)
     report = gathered(tmp_path)
-    assert report.summary["methods"]["paper"]["image_psnr"] == {"mean": 28.0, "spread": None}
+    assert report.summary["methods"]["paper"]["image_psnr"] == {"mean": 28.0, "std": None}
     assert "| full | 28.00 |" in report.tables
 
 
