@@ -23,7 +23,7 @@ class Target:
     box: tuple[int, int, int, int]
     weight: float  # in (0, 1], of what is compared with this frame
 
-    def comparable_part(self, image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+    def comparable_part(self, image: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
         """A render, black where the frame's colours mean nothing."""
         return image if self.comparable is None else image * self.comparable[..., None]
 

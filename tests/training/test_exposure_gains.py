@@ -14,7 +14,7 @@ def seen(brightness: float) -> Target:
     image[0] = 0.9  # background: outside the matte, it says nothing
     matte = torch.ones(4, 4)
     matte[0] = 0
-    return Target(image, matte, (0, 0, 4, 4), 1.0)
+    return Target(image, matte, None, (0, 0, 4, 4), 1.0)
 
 
 def visited(brightness: list[float], times: int = 2, light: str = "srgb") -> ExposureGains:

@@ -714,7 +714,7 @@ def test_smoothness_is_weighted_and_counts_by_what_is_hidden(begin, plain_recipe
     again = begin(params=doubled).step(1, "sharp", "mean")
     assert again["smooth_heights"] == pytest.approx(2 * terms["smooth_heights"], rel=1e-5)
     assert again["smooth_shapes"] == pytest.approx(terms["smooth_shapes"], rel=1e-5)
-    shown = begin(params=params, seen=sharpened(hidden=0.25)).step(1, "sharp", "mean")
+    shown = begin(params=params, seen=sharpened(occluded_fraction=0.25)).step(1, "sharp", "mean")
     assert shown["smooth_shapes"] == pytest.approx(terms["smooth_shapes"] / 4, rel=1e-5)
 
 
