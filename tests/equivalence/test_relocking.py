@@ -253,3 +253,13 @@ def test_a_renamed_run_keeps_what_it_made(project):
     called(project, "git", "checkout", "-q", "HEAD", "dvc.lock")
     assert relocked(project, renamed="long=tall").left_out == {}
     assert would_run(project) == set()
+
+
+def test_a_renamed_folder_keeps_what_lies_in_it(project):
+    for folder in (".", "experiments/cases"):
+        replaced(project, f"{folder}/dvc.yaml", "data/", "cloth/")
+    replaced(project, ".gitignore", "data/", "cloth/")
+    assert relocked(project, renamed="data=cloth").left_out == {}
+    assert would_run(project) == set()
+    lock = (project / "dvc.lock").read_text()
+    assert lock.count(" hash: md5\n") == lock.count(" md5: ")  # without it, DVC takes another kind
