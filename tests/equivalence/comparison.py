@@ -61,6 +61,10 @@ def compare(then: Side, now: Side, renaming: Renaming) -> Comparison:
         else:
             file, job = old or new  # type: ignore[misc]
             _one_sided(path, renaming.text(job), before=bool(old), found=found)
+    for job in after - before:  # split off: all that it writes, another stage wrote before
+        written = [path for path, (_, name) in new_files.items() if name == job]
+        if written and old_files.keys() >= set(written):
+            found.compared.add(job)
     return found
 
 

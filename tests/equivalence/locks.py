@@ -14,6 +14,7 @@ from typing import Any
 
 from dvc.stage.serialize import to_single_stage_lockfile
 from dvc.utils.serialize import dump_yaml
+from dvc_data.hashfile.hash import DEFAULT_ALGORITHM
 
 from tests.equivalence.cases import parameter_values, parameters, stage_of, words
 from tests.equivalence.comparison import compared_values, leaves
@@ -110,7 +111,7 @@ class Relocking:
             path = entry.path(out)
             if self._in_git(path):
                 listed += self._measured(path, origin)
-                out.save()
+                _save(out)
             else:
                 _state(out, self._written(path, origin))
         for params in entry.params():
@@ -161,7 +162,7 @@ class Relocking:
             raise _LeftOutError(f"locks do not know {path}, or disagree")
         if not self._in_git(path):
             return known
-        dep.save()
+        _save(dep)
         if dep.hash_info != known.hash_info:
             self._same_values(path, origin)
         return Hashed(dep.hash_info, dep.meta)
@@ -220,7 +221,15 @@ def holds(entry: Entry) -> bool:
 
 
 def _state(output: Any, hashed: Hashed) -> None:
+    """Say what a path holds; of one that the present lock lacks, DVC expects an older hash."""
+    output.hash_name = hashed.hash_info.name
     output.hash_info, output.meta = hashed.hash_info, hashed.meta
+
+
+def _save(output: Any) -> None:
+    """Hash what lies there, likewise."""
+    output.hash_name = DEFAULT_ALGORITHM
+    output.save()
 
 
 def _leaf_values(path: Path) -> set[tuple[str, str]]:

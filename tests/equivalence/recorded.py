@@ -152,5 +152,5 @@ class Recorded:
     def _md5(self, path: str, dep: Dependency) -> str:
         """Of a file that many stages read, found once."""
         if path not in self._known:
-            self._known[path] = dep.get_hash()[1].value
+            self._known[path] = dep.get_hash().value
         return self._known[path]

@@ -99,6 +99,15 @@ def test_clocks_decide_nothing_and_split_metrics_are_listed(then, now):
     assert found.one_sided == ["fusion: kept: only before", "fusion: precision: only now"]
 
 
+def test_a_stage_that_was_split_off_is_compared_by_its_files(then, now):
+    whole, metrics = side(then), "cases/metrics/fusion/one.json"
+    split = Side(now, [job("fusion@one", "cases/data/fusion/one"), job("score@one", metrics)])
+    assert compare(whole, split, NOTHING).compared == {"cases:fusion@one", "cases:score@one"}
+    (now / "cases/metrics/more.json").write_text("{}")
+    new = Side(now, [*split.jobs, job("more@one", metrics, "cases/metrics/more.json")])
+    assert "cases:more@one" not in compare(whole, new, NOTHING).compared
+
+
 def test_a_clock_in_an_artifact_decides_nothing(then, now):
     for tree, seconds in ((then, 1.0), (now, 2.0)):
         (tree / AVATAR / "measured.json").write_text(json.dumps({"psnr": 3, "seconds": seconds}))
