@@ -1,9 +1,6 @@
 """Locks after a refactoring, on a project of two small stages with cases of its own."""
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +8,7 @@ import pytest
 from tests.equivalence.__main__ import relock, table
 from tests.equivalence.names import Renaming
 from tests.equivalence.proof import Question, RefusedError, prove, trees
+from tests.structure.small_repository import begin, called, commit, ran
 
 ROOT = Path(__file__).parents[2]
 CODE = "deblur_avatar/pipeline/code.py"
@@ -72,43 +70,16 @@ FILES = {
 ALL = {"cut@long", "cut@short", "weigh@long", "weigh@short"}
 
 
-def called(folder, *command):
-    here = str(Path(sys.executable).parent)
-    environment = os.environ | {
-        "PATH": f"{here}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": str(folder),
-        "DVC_NO_ANALYTICS": "1",
-    }
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 def would_run(folder):
     """Stages that DVC says are out of date, by fingerprints of the present code."""
     called(folder, "python", "stages/code.py", ".")
-    lines = called(folder, "dvc", "repro", "--dry", "--allow-missing").splitlines()
-    names = {line.split("'")[1] for line in lines if line.startswith("Running stage")}
-    return {name for name in names if not name.endswith("code")}
-
-
-def commit(folder):
-    called(folder, "git", "add", "-A")
-    called(folder, "git", "commit", "-qm", "more")
+    return ran(folder, "--dry", "--allow-missing")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     root = tmp_path_factory.mktemp("made")
-    for name, text in (FILES | {CODE: (ROOT / CODE).read_text()}).items():
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_text(text)
-    called(root, "git", "init", "-q")
-    called(root, "git", "config", "user.email", "a@b.c")
-    called(root, "git", "config", "user.name", "a")
-    called(root, "dvc", "init", "-q")
+    begin(root, FILES | {CODE: (ROOT / CODE).read_text()})
     called(root, "dvc", "repro")
     commit(root)
     return root

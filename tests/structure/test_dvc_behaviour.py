@@ -5,11 +5,13 @@ One repository with the pipeline at its root and a copy of it in an experiment's
 
 import os
 import shutil
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+
+from tests.structure import small_repository
+from tests.structure.small_repository import begin, commit
 
 ROOT = Path(__file__).parents[2]
 PIPELINE = """\
@@ -50,25 +52,9 @@ Path(sys.argv[1]).write_text(sys.argv[2])
 ALL = {"cut@one", "cut@two", "experiments/a/dvc.yaml:cut@three"}
 
 
-def called(folder: Path, *command: str) -> str:
-    here = str(Path(sys.executable).parent)
-    environment = os.environ | {
-        "PATH": f"{here}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": str(ROOT),
-        "DVC_NO_ANALYTICS": "1",
-    }
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
-def ran(folder: Path, *options: str) -> set[str]:
-    """The stages that `dvc repro` runs, or with `--dry` would, apart from `code`."""
-    lines = called(folder, "dvc", "repro", *options).splitlines()
-    names = {line.split("'")[1] for line in lines if line.startswith("Running stage")}
-    return {name for name in names if not name.endswith("code")}
+# By this repository's code.
+called = partial(small_repository.called, code=ROOT)
+ran = partial(small_repository.ran, code=ROOT)
 
 
 @pytest.fixture(scope="module")
@@ -81,16 +67,9 @@ def made(tmp_path_factory):
         "stages/cut.py": CUT,
         "stages/code.py": (ROOT / "stages/code.py").read_text(),
     }  # fmt: skip
-    for name, text in files.items():
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        (root / name).write_text(text)
-    called(root, "git", "init", "-q")
-    called(root, "git", "config", "user.email", "a@b.c")
-    called(root, "git", "config", "user.name", "a")
-    called(root, "dvc", "init", "-q")
+    begin(root, files)
     assert ran(root, "-P") == ALL
-    called(root, "git", "add", "-A")
-    called(root, "git", "commit", "-qm", "made")
+    commit(root)
     return root
 
 
