@@ -22,7 +22,8 @@ class Reference(Artifact):
     `novel_pose[v]` is 1 for frames kept from training. `seen` is 255 where the surface point behind
     the pixel was seen by the training camera in some training frame. `motion` samples the true
     motion at `motion_times`, densely enough to cover every exposure. A user's own video has no
-    truth: its reference has no views.
+    truth: its reference has no views. Views may show other instants than the middle of the frame's
+    exposure: `offsets` says which.
     """
 
     schema: ClassVar[str] = "reference/1"
@@ -36,3 +37,4 @@ class Reference(Artifact):
     background: tuple[float, ...]  # sRGB in [0, 1] behind the person
     motion_times: Float32[Tensor, " M"] | None  # seconds
     motion: Poses | None  # at motion_times
+    offsets: Float32[Tensor, " V"] | None = None  # seconds from that middle; None: none

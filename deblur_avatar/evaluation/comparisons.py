@@ -7,11 +7,13 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.evaluation.instants import pose_at
 from deblur_avatar.evaluation.metrics import ImagePair, scores
 from deblur_avatar.evaluation.truth_views import TruthView
 from deblur_avatar.imaging.color import srgb_to_linear
@@ -32,9 +34,9 @@ def compare(
     observations: Observations,
     reference: Reference,
     view: TruthView,
-    poses: Poses,
+    pose: Poses,
 ) -> Comparison:
-    """Render one test view in the pose that `poses` has for it, and score it.
+    """Render one test view in its pose, and score it.
 
     Colours take the latent code of the frame if it was trained on, else of the last one
     that was (as 3DGS-Avatar does).
@@ -42,7 +44,7 @@ def compare(
     trained = view.position in observations.train
     image, _ = render_avatar(
         model,
-        poses.at([view.position]),
+        pose,
         observations.cameras.camera(view.camera),
         frame=view.position if trained else max(observations.train),
         background=_background(reference, model),
@@ -59,6 +61,12 @@ def compare(
         difference=pair.flip_map[0],
         scores={name: float(values) for name, values in scores(pair).items()},
     )
+
+
+def pose_of_view(observations: Observations, motion: Motion, view: TruthView) -> Poses:
+    """The pose that a fitted motion has for the instant that a test view shows."""
+    body, exposure = observations.body, observations.exposure
+    return pose_at(body, motion, exposure, view.position, view.offset)
 
 
 def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:

@@ -37,6 +37,7 @@ class TruthView:
     camera: int
     position: int  # in the observations
     novel_pose: bool  # the instant was kept from training
+    offset: float  # seconds from the middle of the frame's exposure
     image: UInt8[Tensor, "H W 3"]
     foreground: Bool[Tensor, "H W"]
     seen: Bool[Tensor, "H W"]
@@ -104,6 +105,7 @@ def _prepare(
         camera=camera,
         position=position,
         novel_pose=novel_pose,
+        offset=0.0 if reference.offsets is None else float(reference.offsets[view]),
         image=_cut(observations, camera, reference.images[view]),
         foreground=foreground,
         seen=seen & foreground,

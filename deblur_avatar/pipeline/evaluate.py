@@ -24,7 +24,12 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
-from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
+from deblur_avatar.evaluation.comparisons import (
+    Comparison,
+    compare,
+    mean_scores,
+    pose_of_view,
+)
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import nothing_recovered
@@ -70,7 +75,13 @@ def evaluate(
     held_out = observations.poses if true is None else true
     comparisons = [
         compare(
-            model, observations, reference, view, held_out if view.novel_pose else motion.centre
+            model,
+            observations,
+            reference,
+            view,
+            held_out.at([view.position])
+            if view.novel_pose
+            else pose_of_view(observations, motion, view),
         )
         for view in run.progress(views, "test views")
     ]

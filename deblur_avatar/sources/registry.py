@@ -3,6 +3,7 @@
 from typing import Annotated
 
 from deblur_avatar.config.kinds import KindOf
+from deblur_avatar.sources.high_speed import HighSpeedParams
 from deblur_avatar.sources.monocular import MonocularParams
 from deblur_avatar.sources.multiview import MultiviewParams
 from deblur_avatar.sources.source import Source
@@ -13,6 +14,7 @@ SOURCES: dict[str, type[Source]] = {
     "studio": StudioParams,
     "multiview": MultiviewParams,
     "monocular": MonocularParams,
+    "high_speed": HighSpeedParams,
     "zju_mocap": ZjuMocapParams,
 }
 
