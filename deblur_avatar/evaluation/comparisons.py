@@ -71,7 +71,7 @@ def pose_of_view(observations: Observations, motion: Motion, view: TruthView) ->
 
 def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:
     color = torch.tensor(reference.background)
-    light = srgb_to_linear(color) if model.light == "linear" else color
+    light = srgb_to_linear(color) if model.averaging_space == "linear" else color
     return light.to(model.betas)
 
 

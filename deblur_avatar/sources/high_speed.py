@@ -94,7 +94,7 @@ def load_high_speed(params: HighSpeedParams, segment: Segment) -> tuple[Clip, Re
         timestamps=torch.arange(count) / fps,
         blurred=False,
         exposure=None,
-        light="linear",
+        averaging_space="linear",
         held_out_from=max(1, round(count * (1 - params.held_out))),
         initial=None,
         exact=None,

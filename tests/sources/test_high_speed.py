@@ -65,7 +65,7 @@ def test_the_file_s_own_rate_does_not_count(video: Path):
 
 def test_the_blur_stage_takes_the_sums_and_keeps_the_sharp_middles(video: Path):
     clip, _ = load(video)
-    asked = BlurParams(frames="true", factor=4, window=5, light="linear")
+    asked = BlurParams(frames="true", factor=4, window=5, averaging_space="linear")
     blurred = blur(clip, asked)
     assert torch.equal(blurred.frames[0], clip.true_blur_linear)
     middles = torch.from_numpy(np.stack([moving(4 * frame) for frame in (1, 2, 3, 4)]))
