@@ -1,7 +1,7 @@
 """Scores of a test view: the avatar's render against the ground truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, UInt8
@@ -15,7 +15,9 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.evaluation.instants import pose_at
 from deblur_avatar.evaluation.metrics import ImagePair, scores
+from deblur_avatar.evaluation.registration import registered
 from deblur_avatar.evaluation.truth_views import TruthView
+from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.color import srgb_to_linear
 
 
@@ -45,7 +47,7 @@ def compare(
     image, _ = render_avatar(
         model,
         pose,
-        observations.cameras.camera(view.camera),
+        _camera_of(observations, reference, view, pose),
         frame=view.position if trained else max(observations.train),
         background=_background(reference, model),
     )
@@ -67,6 +69,26 @@ def pose_of_view(observations: Observations, motion: Motion, view: TruthView) ->
     """The pose that a fitted motion has for the instant that a test view shows."""
     body, exposure = observations.body, observations.exposure
     return pose_at(body, motion, exposure, view.position, view.offset)
+
+
+def _camera_of(
+    observations: Observations, reference: Reference, view: TruthView, pose: Poses
+) -> Camera:
+    """The view's camera; where the world was estimated, brought to the pose that is seen."""
+    camera = observations.cameras.camera(view.camera)
+    true = None if view.viewmat is None else true_poses(observations, reference)
+    if view.viewmat is None or true is None:
+        return camera
+    here = true.at([view.position])
+    return replace(camera, viewmat=registered(view.viewmat, observations.body, pose, here))
+
+
+def true_poses(observations: Observations, reference: Reference) -> Poses | None:
+    """True poses at the middle of each exposure: the nearest samples."""
+    if reference.motion is None or reference.motion_times is None:
+        return None
+    distance = reference.motion_times[None] - observations.timestamps[:, None]
+    return reference.motion.at(distance.abs().argmin(1))
 
 
 def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:

@@ -29,7 +29,9 @@ from deblur_avatar.evaluation.comparisons import (
     compare,
     mean_scores,
     pose_of_view,
+    true_poses,
 )
+from deblur_avatar.evaluation.estimated_steps import estimated_steps
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import nothing_recovered
@@ -71,7 +73,7 @@ def evaluate(
     """
     model = avatar_from_artifact(avatar, observations.body, device)
     views = truth_views(observations, reference)
-    true = _true_poses(observations, reference)
+    true = true_poses(observations, reference)
     held_out = observations.poses if true is None else true
     comparisons = [
         compare(
@@ -99,16 +101,11 @@ def evaluate(
         "model": _size(avatar, motion, observations.train),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
+    steps = estimated_steps(observations, reference, motion, true)
+    if steps is not None:
+        content["steps"] = steps
     fps = _render_fps(model, observations, motion)
     return Evaluation(content, comparisons, fps, as_computed(model.precision, device))
-
-
-def _true_poses(observations: Observations, reference: Reference) -> Poses | None:
-    """True poses at the middle of each exposure: the nearest samples."""
-    if reference.motion is None or reference.motion_times is None:
-        return None
-    distance = reference.motion_times[None] - observations.timestamps[:, None]
-    return reference.motion.at(distance.abs().argmin(1))
 
 
 def _by_camera(
