@@ -56,7 +56,11 @@ def registered(
         true: of the same instant.
     """
     pair = [posed(body, poses).joints[0].double() for poses in (estimated, true)]
-    moved = similarity(*pair)
+    return seen_through(viewmat, similarity(*pair))
+
+
+def seen_through(viewmat: Float[Tensor, "4 4"], moved: Similarity) -> Float[Tensor, "4 4"]:
+    """A camera of the true world, in the estimated one: it takes the same picture."""
     there = viewmat.double()
     placed = torch.eye(4, dtype=torch.float64)
     placed[:3, :3] = there[:3, :3] @ moved.turn

@@ -6,7 +6,7 @@ import torch
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import compare, pose_of_view
-from deblur_avatar.evaluation.registration import registered, similarity
+from deblur_avatar.evaluation.registration import Similarity, registered, seen_through, similarity
 from deblur_avatar.evaluation.truth_views import truth_views
 from deblur_avatar.geometry.cameras import look_at, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
@@ -25,6 +25,16 @@ def test_a_similarity_is_found_again():
     assert moved.scale == pytest.approx(1.3)
     torch.testing.assert_close(moved.turn, TURN)
     torch.testing.assert_close(moved.shift, SHIFT)
+
+
+def test_a_camera_sees_the_same_through_a_similarity():
+    viewmat = look_at(torch.tensor([2.0, 0.5, 9.0]), torch.zeros(3), torch.tensor([0.0, 1.0, 0.0]))
+    K = torch.tensor([[300.0, 0, 100], [0, 300, 100], [0, 0, 1]]).double()
+    moved = Similarity(1.3, TURN, SHIFT)
+    wanted, depth = project(moved.applied(points()), K, viewmat.double())
+    found, _ = project(points(), K, seen_through(viewmat.double(), moved))
+    assert depth.min() > 1
+    torch.testing.assert_close(found, wanted)
 
 
 def test_a_mirrored_person_is_not_turned_inside_out():
