@@ -76,10 +76,12 @@ class Report:
     tables: str  # Markdown
     charts: dict[str, bytes]  # files by name
     strip: Picture | None  # for the README
+    self_check: dict[str, Any]  # the self-check's confusion table; empty if nobody made it
     log: str  # for a terminal
 
     def save(self, folder: Path) -> None:
-        """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png` and the charts.
+        """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png`, the charts,
+        and `self_check.json` where there is one.
 
         A chart is its rows (`.json`, for `dvc plots show`) and its picture (`.svg`, `.png`);
         without rows it is an empty list alone.
@@ -92,6 +94,8 @@ class Report:
             run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
         run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
+        if self.self_check:
+            run.write_json(folder / "self_check.json", self.self_check)
         if self.strip is not None:
             write_picture(folder / "strip.png", self.strip)
 
@@ -154,6 +158,7 @@ def make_report(
         tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
         charts=charts,
         strip=_readme_strip(strips),
+        self_check=_read(metrics / "self_check" / "cases.json"),
         log=_log(main),
     )
 

@@ -399,6 +399,15 @@ def test_an_avatar_that_fails_its_self_check_is_told_of_on_top(project):
         made(project)
 
 
+def test_the_confusion_table_is_among_the_results_where_somebody_made_it(project, tmp_path):
+    made(project).save(tmp_path / "without")
+    assert not (tmp_path / "without/self_check.json").exists()
+    cases = {"good": 2, "damaged": 1, "gross_misses": 0, "cases": []}
+    write_json(project / "metrics/self_check/cases.json", cases)
+    made(project).save(tmp_path / "with")
+    assert json.loads((tmp_path / "with/self_check.json").read_text()) == cases
+
+
 def test_few_cameras_are_shown_apart_and_many_are_not():
     def titles_with(count):
         cameras = {f"cam{i}": {"psnr": 20.0} for i in range(count)}
