@@ -9,7 +9,7 @@ stay null here, so that evaluating one method never waits for another, and `repo
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -24,6 +24,8 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.evaluation.avatar_measures import silhouette_distance
+from deblur_avatar.evaluation.color_alignment import color_aligned
 from deblur_avatar.evaluation.comparisons import (
     Comparison,
     compare,
@@ -35,7 +37,7 @@ from deblur_avatar.evaluation.estimated_steps import estimated_steps
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import nothing_recovered
-from deblur_avatar.evaluation.truth_views import truth_views
+from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 logger = logging.getLogger(__name__)
 
@@ -104,8 +106,54 @@ def evaluate(
     steps = estimated_steps(observations, reference, motion, true)
     if steps is not None:
         content["steps"] = steps
+        content["in_true_poses"] = _in_true_poses(model, observations, reference, true, views)
+    if reference.motion is None and novel_views:
+        content |= _of_real_cameras(observations, motion, novel_views)
     fps = _render_fps(model, observations, motion)
     return Evaluation(content, comparisons, fps, as_computed(model.precision, device))
+
+
+def _in_true_poses(
+    model: AvatarModel,
+    observations: Observations,
+    reference: Reference,
+    true: Poses | None,
+    views: Sequence[TruthView],
+) -> dict[str, float | None] | None:
+    """What is left of the errors of pictures where the avatar takes the true poses: its own."""
+    if true is None:
+        return None
+    posed_alike = replace(true, betas=model.betas.cpu())
+    return mean_scores(
+        [
+            compare(model, observations, reference, view, posed_alike.at([view.position]))
+            for view in run.progress(views, "test views in true poses")
+        ]
+    )
+
+
+def _of_real_cameras(
+    observations: Observations, motion: Motion, comparisons: Sequence[Comparison]
+) -> dict[str, Any]:
+    """What only filmed scenes need: colours aligned camera by camera, and how the body lies there.
+
+    A studio's cameras see the same colours, and its body is compared with the true one.
+    """
+    names = observations.cameras.names
+    aligned = color_aligned(comparisons)
+    ious: dict[str, list[float]] = {}
+    for view in (comparison.view for comparison in comparisons):
+        camera = observations.cameras.camera(view.camera)
+        poses = motion.centre.at([view.position])
+        body = silhouette_distance(observations.body, poses, camera) == 0
+        person = view.foreground.numpy()
+        ious.setdefault(names[view.camera], []).append(
+            (body & person).sum() / (body | person).sum()
+        )
+    return {
+        "color_aligned": {"image": mean_scores(aligned), "cameras": _by_camera(aligned, names)},
+        "body_iou": {name: float(sum(values) / len(values)) for name, values in ious.items()},
+    }
 
 
 def _by_camera(

@@ -50,6 +50,18 @@ FIT = (
     Column(("reprojection_px",), "landmarks, median", "pixels", 1),
     Column(("iou",), "silhouette overlap", "IoU", 3),
 )
+ESTIMATED_STEPS = (
+    Column(("steps", "mattes", "iou"), "mattes", "IoU", 3, 1),
+    Column(("steps", "mattes", "mae"), "mattes, difference", "of 1", 4, -1),
+    Column(("steps", "focal", "estimated_px"), "focal length", "pixels", 0),
+    Column(("steps", "focal", "true_px"), "the true one", "pixels", 0),
+    Column(("steps", "poses", "initial", "rooted_mm"), "first poses", "mm", 1, -1),
+    Column(("steps", "poses", "fitted", "rooted_mm"), "fitted poses", "mm", 1, -1),
+    Column(("steps", "poses", "initial", "registered_mm"), "first, aligned", "mm", 1, -1),
+    Column(("steps", "poses", "fitted", "registered_mm"), "fitted, aligned", "mm", 1, -1),
+    Column(("steps", "poses", "fitted", "depth_ratio"), "depth", "of the true one", 3),
+    Column(("in_true_poses", "psnr_seen"), "avatar in true poses", "PSNR seen", 2, 1),
+)
 
 
 def tables_of(
@@ -76,6 +88,22 @@ def tables_of(
                 note="In italics besides: the poses that every method starts from.",
             )
         )
+    aligned = measured(results, _aligned_columns(results))
+    if aligned:
+        note = (
+            "One affine map of colours for each camera and method, fitted to the person's pixels "
+            "of that camera, since cameras differ; PSNR of the seen surface. Body: how far body "
+            "and person overlap in each view (IoU)."
+        )
+        title = "Camera by camera, colours aligned"
+        tables.append(results_table(results, aligned, title=title, note=note))
+    if measured(results, ESTIMATED_STEPS):
+        tables.append(
+            results_table(
+                results, ESTIMATED_STEPS, missing=NOT_KNOWN, title="What was estimated",
+                note="Joints relative to the pelvis; aligned: by the best similarity of a frame.",
+            )
+        )  # fmt: skip
     cost = measured(results, COST)
     if cost:
         note = "Training counts the warm-up in full, though methods may share it."
@@ -160,6 +188,24 @@ def _camera_columns(results: Mapping[str, Mapping[str, Any]]) -> list[Column]:
         for name in names
         for column, label in zip(image_columns("", list(labels)), labels.values(), strict=True)
     ]
+
+
+def _aligned_columns(results: Mapping[str, Mapping[str, Any]]) -> list[Column]:
+    """PSNR of the seen surface before and after alignment, and the body's overlap, by camera."""
+    names = dict.fromkeys(name for r in results.values() for name in r.get("body_iou") or {})
+    columns: list[Column] = []
+    for name in names:
+        raw, *_ = image_columns("", ["psnr_seen"])
+        columns += [
+            replace(raw, path=("cameras", name, "psnr_seen"), label=f"{name} seen"),
+            replace(
+                raw,
+                path=("color_aligned", "cameras", name, "psnr_seen"),
+                label=f"{name} seen, aligned",
+            ),
+            Column(("body_iou", name), f"{name} body", "IoU", 2, 1),
+        ]
+    return columns
 
 
 def _with_start(results: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
