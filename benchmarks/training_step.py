@@ -113,7 +113,7 @@ def observations(size: int) -> Observations:
         frame_indices=tuple(range(FRAMES)),
         timestamps=torch.arange(FRAMES) / FPS,
         exposure=EXPOSURE,
-        light="srgb",
+        averaging_space="srgb",
         train=tuple(range(FRAMES)),
         validation=(),
         depth_known=True,
@@ -136,7 +136,13 @@ def begin(
     generator = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
     model = AVATARS[recipe.model.kind].create(
-        recipe.model, seen.body, seen.poses.betas, FRAMES, schedule.gaussians, seen.light, generator
+        recipe.model,
+        seen.body,
+        seen.poses.betas,
+        FRAMES,
+        schedule.gaussians,
+        seen.averaging_space,
+        generator,
     )
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(2.0)

@@ -59,11 +59,19 @@ def camera(size: int = SIZE) -> Cameras:
     )
 
 
-def colourful(body: Body, frames: int, count: int = 150, light: str = "srgb") -> PlainAvatar:
+def colourful(
+    body: Body, frames: int, count: int = 150, averaging_space: str = "srgb"
+) -> PlainAvatar:
     """An avatar whose colours tell its parts apart."""
     generator = torch.Generator().manual_seed(3)
     model = PlainAvatar.create(
-        PLAIN, body, torch.zeros(body.shape_dirs.shape[2]), frames, count, light, generator
+        PLAIN,
+        body,
+        torch.zeros(body.shape_dirs.shape[2]),
+        frames,
+        count,
+        averaging_space,
+        generator,
     )
     with torch.no_grad():
         gaussians = model.gaussians
@@ -92,7 +100,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
             frame_indices=tuple(range(frames)),
             timestamps=torch.arange(frames) / 60,
             exposure=1 / 60,
-            light="srgb",
+            averaging_space="srgb",
             train=tuple(range(frames - 1)),
             validation=(frames - 1,),
             depth_known=True,
@@ -137,8 +145,8 @@ def swinging(body: Body) -> Callable[[int, float], Poses]:
 def painted(body: Body) -> Callable[..., PlainAvatar]:
     """The avatar that `observations` show, without any network."""
 
-    def make(frames: int = 5, light: str = "srgb", count: int = 150) -> PlainAvatar:
-        return colourful(body, frames, count, light)
+    def make(frames: int = 5, averaging_space: str = "srgb", count: int = 150) -> PlainAvatar:
+        return colourful(body, frames, count, averaging_space)
 
     return make
 

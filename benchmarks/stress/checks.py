@@ -25,25 +25,25 @@ class Check:
 
     what: str
     value: float | None
-    least: float | None = None
-    most: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
 
     @property
     def passed(self) -> bool:
         """Whether the number is within its limits; one that was not measured is not."""
-        if self.least is None and self.most is None:
+        if self.minimum is None and self.maximum is None:
             return True
         if self.value is None or not math.isfinite(self.value):
             return False
-        low, high = self.least, self.most
+        low, high = self.minimum, self.maximum
         return (low is None or self.value >= low) and (high is None or self.value <= high)
 
     @property
     def sentence(self) -> str:
         """The number and the limit that it keeps or breaks."""
         value = "not measured" if self.value is None else f"{self.value:.2f}"
-        limits = [f"at least {self.least:.2f}"] if self.least is not None else []
-        limits += [f"at most {self.most:.2f}"] if self.most is not None else []
+        limits = [f"at least {self.minimum:.2f}"] if self.minimum is not None else []
+        limits += [f"at most {self.maximum:.2f}"] if self.maximum is not None else []
         return f"{self.what} is {value}" + (f", wanted {' and '.join(limits)}" if limits else "")
 
 
@@ -78,12 +78,12 @@ def ratio(value: int | float | None, other: int | float | None) -> float | None:
 def came_out(case: Case) -> Check:
     """An avatar with finite numbers came out."""
     reason = f" ({case.row['refused']})" if case.row.get("refused") else ""
-    return Check(f"avatars that came out{reason}", float(bool(case.row.get("finite"))), least=1.0)
+    return Check(f"avatars that came out{reason}", float(bool(case.row.get("finite"))), minimum=1.0)
 
 
 def refused(case: Case) -> Check:
     """The pipeline said no, with an error of its own."""
-    return Check("refused with a message", float(bool(case.row.get("refused"))), least=1.0)
+    return Check("refused with a message", float(bool(case.row.get("refused"))), minimum=1.0)
 
 
 def above_agnostic(
@@ -92,15 +92,15 @@ def above_agnostic(
     """Not worse than without a model of blur by `margin`; for `agnostic` its own clean `drop`."""
     if case.method == AGNOSTIC:
         change = minus(case.row.get(key), case.clean.get(key))
-        return Check(f"{name} minus the clean scene's", change, least=-drop)
+        return Check(f"{name} minus the clean scene's", change, minimum=-drop)
     gain = minus(case.row.get(key), case.agnostic.get(key))
-    return Check(f"{name} minus agnostic's", gain, least=margin)
+    return Check(f"{name} minus agnostic's", gain, minimum=margin)
 
 
-def drop_from_clean(case: Case, most: float) -> Check:
+def drop_from_clean(case: Case, maximum: float) -> Check:
     """At most so many decibels below the clean scene."""
     lost = minus(case.clean.get("score"), case.score)
-    return Check("dB lost against the clean scene", lost, most=most)
+    return Check("dB lost against the clean scene", lost, maximum=maximum)
 
 
 def recovery(

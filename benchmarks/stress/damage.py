@@ -240,11 +240,11 @@ def _clipped(clip: BlurryClip, amount: float, generator: torch.Generator) -> Blu
 
 def _averaged(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
     """Averaged in linear light (`averaged_light`), but said to be averaged as sRGB."""
-    return dataclasses.replace(clip, light="srgb")
+    return dataclasses.replace(clip, averaging_space="srgb")
 
 
 def _declared(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
-    return dataclasses.replace(clip, light="linear")
+    return dataclasses.replace(clip, averaging_space="linear")
 
 
 # --- cameras -------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ def fit_method(
         observations: blurred, or sharp with exact poses.
         setup: how and where.
         draw: number of the fit, of several that differ in their draws only.
-        degenerate: share of the Gaussians that become thin as needles after the warm-up, and as
+        degenerate: share of the Gaussians that become extremely thin after the warm-up, and as
             many that become points.
 
     Raises:

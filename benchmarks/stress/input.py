@@ -34,7 +34,7 @@ def prepare(
     fps = 1 / float(clip.timestamps.diff().mean())
     window = round(clip.true_blur_exposure * SUBFRAMES * fps)
     params = BlurParams(
-        frames="true", factor=SUBFRAMES, window=window, light=averaged_light(damage)
+        frames="true", factor=SUBFRAMES, window=window, averaging_space=averaged_light(damage)
     )
     blurry = blur(clip, params)
     generator = torch.Generator().manual_seed(run.derive_seed(seed, "damage"))

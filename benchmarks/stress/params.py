@@ -29,7 +29,7 @@ class SeverityParams(Params):
     hold `budget` (times the schedule), `seed` (another draw), `draws` (how many, from that one on,
     are averaged), `oracle` (a method without a model of blur is fitted to the sharp frames, too),
     `estimated_shutter` (its learning rate, with the prior's `shutter_weight`), `exposure_gain`,
-    `start_noise` (radians, instead of the method's) and `needles` (share of the Gaussians that
+    `start_noise` (radians, instead of the method's) and `degenerate` (share of the Gaussians that
     become degenerate).
     """
 

@@ -256,7 +256,7 @@ def _cell(entry: Mapping[str, Any]) -> dict[str, Any]:
     share = 0.0 if score is None else (score - DARKEST) / (BRIGHTEST - DARKEST)
     lightness = 62 + 26 * min(max(share, 0.0), 1.0)
     text = f"{score:.2f}" if score is not None else "refused" if entry["refused"] else "crashed"
-    hint = "; ".join(Check(**{k: c[k] for k in ("what", "value", "least", "most")}).sentence
+    hint = "; ".join(Check(**{k: c[k] for k in ("what", "value", "minimum", "maximum")}).sentence
                      for c in entry["checks"])  # fmt: skip
     if entry["refused"]:
         hint = f"{entry['refused']}; {hint}"

@@ -38,7 +38,7 @@ from deblur_avatar.pipeline.check import check_scene
 logger = logging.getLogger(__name__)
 
 FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "shutter_weight",
-            "exposure_gain", "start_noise", "needles")  # fmt: skip
+            "exposure_gain", "start_noise", "degenerate")  # fmt: skip
 PICTURES = ("blurred", "render", "truth")
 
 LoadScene = Callable[[str], tuple[Clip, Reference]]
@@ -145,7 +145,7 @@ def _draws(
 ) -> list[Measured]:
     """As many fits to what is seen as a severity asks for, each compared with the truth."""
     chosen, first = _changed(setup, severity.fit), int(severity.fit.get("seed", 0))
-    degenerate = severity.fit.get("needles", 0.0)
+    degenerate = severity.fit.get("degenerate", 0.0)
     fits = (
         fit_method(seen, chosen, draw=draw, degenerate=degenerate)
         for draw in range(first, first + int(severity.fit.get("draws", 1)))

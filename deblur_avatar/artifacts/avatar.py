@@ -33,7 +33,7 @@ class Avatar(Artifact):
     """Canonical Gaussians, and the networks or grids that deform, skin and colour them.
 
     `model` tells how to read the rest: `params` is the composition (`composition_on_disk`),
-    `frames` how many the clip has, `light` the space in which light is averaged. An avatar that is
+    `frames` how many the clip has, `light` its averaging space. An avatar that is
     not made of Gaussians has none of them, and all else in `networks`.
     """
 

@@ -4,14 +4,15 @@ Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B s
 P body vertices, T triangles, N Gaussians, S instants inside one exposure.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
+from deblur_avatar.artifacts.averaging_space import check_averaging_space
 from deblur_avatar.artifacts.cameras import Cameras
-from deblur_avatar.artifacts.light import check_light
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.storage import Artifact
 
@@ -27,6 +28,7 @@ class Clip(Artifact):
     """
 
     schema: ClassVar[str] = "clip/1"
+    names_on_disk: ClassVar[Mapping[str, str]] = {"averaging_space": "light"}
 
     frames: UInt8[Tensor, "R F H W 3"]
     mattes: UInt8[Tensor, "R F H W"] | None
@@ -37,7 +39,7 @@ class Clip(Artifact):
     timestamps: Float32[Tensor, " F"]  # seconds, the middle of each frame's exposure
     blurred: bool  # True if the frames are blurred already and `blur` must pass them through
     exposure: float | None  # seconds the shutter was open, where known
-    light: str  # "srgb" or "linear": the space in which the camera averaged
+    averaging_space: str  # "srgb" or "linear": the space in which the camera averaged
     held_out_from: int  # frames from here on are kept from training (novel poses)
     initial: Poses | None  # poses given by the source, F of them
     exact: Poses | None  # true poses; for the method `ceiling` alone
@@ -49,7 +51,7 @@ class Clip(Artifact):
 
     def validate(self) -> None:
         """Refuse a training camera that was not recorded, times that do not increase."""
-        check_light(self.light)
+        check_averaging_space(self.averaging_space)
         if self.train_camera not in self.recorded:
             raise ValueError(f"train_camera {self.train_camera} is not among {self.recorded}")
         if len(self.recorded) != len(self.frames):
@@ -67,6 +69,7 @@ class BlurryClip(Artifact):
     """
 
     schema: ClassVar[str] = "blurry_clip/1"
+    names_on_disk: ClassVar[Mapping[str, str]] = {"averaging_space": "light"}
 
     frames: UInt8[Tensor, "R F H W 3"]
     mattes: UInt8[Tensor, "R F H W"] | None
@@ -79,14 +82,14 @@ class BlurryClip(Artifact):
     frame_indices: tuple[int, ...]
     timestamps: Float32[Tensor, " F"]
     exposure: float | None
-    light: str
+    averaging_space: str
     held_out_from: int  # position in this clip of the first frame kept from training
     initial: Poses | None
     exact: Poses | None
 
     def validate(self) -> None:
         """Refuse an unknown light and a clip without a training frame."""
-        check_light(self.light)
+        check_averaging_space(self.averaging_space)
         if len(self.frame_indices) != len(self.timestamps):
             raise ValueError("frame_indices and timestamps must be of one length")
         if self.held_out_from < 1:

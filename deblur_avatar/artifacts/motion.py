@@ -27,7 +27,7 @@ _NAMES_IN_CODE = {there: here for here, there in NAMES_ON_DISK.items()}
 class Motion(Artifact):
     """How the body moved while the shutter was open, at instants `u` of every exposure.
 
-    `centre` is the pose that a sharp picture of each frame is drawn with; `counts` are how many
+    `centre` is the pose that a sharp picture of each frame is rendered with; `counts` are how many
     instants of each exposure fitting took. `parameters` hold the unknowns of the trajectory `kind`
     so that a later stage can go on.
     """

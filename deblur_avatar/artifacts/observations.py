@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
+from deblur_avatar.artifacts.averaging_space import check_averaging_space
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
-from deblur_avatar.artifacts.light import check_light
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.storage import Artifact
 from deblur_avatar.geometry.cameras import Camera
@@ -35,7 +35,10 @@ class Observations(Artifact):
     """
 
     schema: ClassVar[str] = "observations/2"
-    names_on_disk: ClassVar[Mapping[str, str]] = {"occluded_fraction": "hidden"}
+    names_on_disk: ClassVar[Mapping[str, str]] = {
+        "averaging_space": "light",
+        "occluded_fraction": "hidden",
+    }
 
     frames: UInt8[Tensor, "F H W 3"]
     mattes: UInt8[Tensor, "F H W"]
@@ -49,7 +52,7 @@ class Observations(Artifact):
     frame_indices: tuple[int, ...]
     timestamps: Float32[Tensor, " F"]
     exposure: float | None
-    light: str
+    averaging_space: str
     train: tuple[int, ...]  # positions in this artifact
     validation: tuple[int, ...]
     depth_known: bool
@@ -76,7 +79,7 @@ class Observations(Artifact):
 
     def validate(self) -> None:
         """Refuse an unknown light, an empty training set, frames in two roles."""
-        check_light(self.light)
+        check_averaging_space(self.averaging_space)
         if not self.train:
             raise ValueError("no training frame; check masks and the blur window")
         if set(self.train) & set(self.validation):

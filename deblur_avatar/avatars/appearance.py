@@ -1,7 +1,7 @@
 """What colour each Gaussian has, seen from where the camera stands.
 
-Conventions. Colours are in [0, 1] in the space in which light is averaged (`light`); directions are
-unit vectors from the camera, turned back into canonical space.
+Conventions. Colours are in [0, 1] in the avatar's `averaging_space`; directions are unit vectors
+from the camera, turned back into canonical space.
 """
 
 from collections.abc import Sequence

@@ -95,9 +95,16 @@ class AvatarModel(nn.Module, ABC):
     canonical_vertices: Tensor
     rest_from_canonical: Tensor
 
-    def __init__(self, params: Any, body: Body, betas: Tensor, frames: int, light: str) -> None:
+    def __init__(
+        self, params: Any, body: Body, betas: Tensor, frames: int, averaging_space: str
+    ) -> None:
         super().__init__()
-        self.params, self.body, self.frames, self.light = params, body, frames, light
+        self.params, self.body, self.frames, self.averaging_space = (
+            params,
+            body,
+            frames,
+            averaging_space,
+        )
         canonical = vitruvian_transforms(body, betas)
         vertices = canonical_vertices(body, betas)
         self.register_buffer("betas", betas, persistent=False)
@@ -107,7 +114,7 @@ class AvatarModel(nn.Module, ABC):
     @classmethod
     @abstractmethod
     def create(
-        cls, params: Any, body: Body, betas: Tensor, frames: int, count: int, light: str,
+        cls, params: Any, body: Body, betas: Tensor, frames: int, count: int, averaging_space: str,
         generator: torch.Generator,
     ) -> "AvatarModel":  # fmt: skip
         """A new avatar on the canonical body.
@@ -118,7 +125,7 @@ class AvatarModel(nn.Module, ABC):
             betas: the body's shape.
             frames: of the clip, for what belongs to one frame.
             count: Gaussians of the schedule, of kinds that are made of them.
-            light: the space in which its light is averaged.
+            averaging_space: the space in which its light is averaged.
             generator: of what is drawn at random.
         """
 
@@ -146,7 +153,7 @@ class AvatarModel(nn.Module, ABC):
         return model
 
     def to_artifact(self, iteration: int) -> Avatar:
-        """What a later stage, or another program, needs to draw this avatar."""
+        """What a later stage, or another program, needs to render this avatar."""
         self.invalidate_neighbours()
         # Clones: fitting works in place, and an artifact never changes.
         state = {name: value.cpu().clone() for name, value in self.state_dict().items()}
@@ -159,7 +166,7 @@ class AvatarModel(nn.Module, ABC):
             model={
                 "params": composition_on_disk(self.params.model_dump(mode="json")),
                 "frames": self.frames,
-                "light": self.light,
+                "light": self.averaging_space,
             },
             iteration=iteration,
         )
@@ -180,7 +187,7 @@ class AvatarModel(nn.Module, ABC):
             frame: training position, for what belongs to one frame.
             transforms: canonical to posed, at the middle.
             viewmat: of the camera, from which colours may depend on.
-            step: of fitting; None draws the avatar as it is, without noise.
+            step: of fitting; None renders the avatar as it is, without noise.
         """
 
     @abstractmethod

@@ -1,7 +1,7 @@
 """Gaussians that dress a body: where they start and what is stored of them.
 
 Conventions. What is optimised is unconstrained (`log_scales`, `opacity_logits`, raw `quats`); what
-is drawn is derived from it. Canonical space, metres, quaternions wxyz.
+is rendered is derived from it. Canonical space, metres, quaternions wxyz.
 """
 
 import numpy as np

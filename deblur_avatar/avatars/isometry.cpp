@@ -32,11 +32,11 @@ inline float spacing(float squared) {
     return std::sqrt(std::max(squared, std::numeric_limits<float>::min()));
 }
 
-// Add the gradient of `pull` times a distance: along the difference, to both of its ends.
-inline void add_pull(int64_t width, float pull, const float *one, const float *other,
+// Add the gradient of `slope` times a distance: along the difference, to both of its ends.
+inline void add_distance_grad(int64_t width, float slope, const float *one, const float *other,
                      float *one_grad, float *other_grad) {
     for (int64_t d = 0; d < width; ++d) {
-        const float push = (other[d] - one[d]) * pull;
+        const float push = (other[d] - one[d]) * slope;
         other_grad[d] += push;
         one_grad[d] -= push;
     }
@@ -62,12 +62,12 @@ inline void add_pull(int64_t width, float pull, const float *one, const float *o
             const float s = spacing(before), t = spacing(after);
             const float apart = s - t;
             total += std::fabs(apart);
-            const float pull = apart == 0 ? 0 : std::copysign(share, apart);
+            const float slope = apart == 0 ? 0 : std::copysign(share, apart);
             if (canonical_grad)
-                add_pull(width, pull / s, canonical + i, canonical + j, canonical_grad + i,
+                add_distance_grad(width, slope / s, canonical + i, canonical + j, canonical_grad + i,
                          canonical_grad + j);
             if (posed_grad)
-                add_pull(width, -pull / t, posed + i, posed + j, posed_grad + i, posed_grad + j);
+                add_distance_grad(width, -slope / t, posed + i, posed + j, posed_grad + i, posed_grad + j);
         }
     }
     *loss = static_cast<float>(total / pairs);

@@ -56,9 +56,9 @@ class NetworksAvatar(SplatAvatar):
 
     def __init__(
         self, params: NetworksParams, gaussians: Gaussians, body: Body, betas: Tensor, frames: int,
-        light: str,
+        averaging_space: str,
     ) -> None:  # fmt: skip
-        super().__init__(params, gaussians, body, betas, frames, light)
+        super().__init__(params, gaussians, body, betas, frames, averaging_space)
         vertices = self.canonical_vertices
         low, high = vertices.amin(0), vertices.amax(0)
         padding = BOX_PADDING * (high - low)

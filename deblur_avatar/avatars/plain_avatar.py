@@ -15,7 +15,7 @@ from deblur_avatar.avatars.surface_projection import SurfaceProjection, closest_
 from deblur_avatar.config.section import NonNegative, Params
 from deblur_avatar.rendering.covariance_factors import covariance_factors
 
-COLORS = 3  # raw colours, the logits of what is drawn
+COLORS = 3  # raw colours, the logits of what is rendered
 # Metres off the body that weigh like a unit of a raw colour. Not a parameter: a unit, beside the
 # weight of the penalty.
 HEIGHT = 0.01
@@ -54,7 +54,7 @@ class PlainAvatar(SplatAvatar):
     kind = "plain"
     Params: ClassVar[type[AvatarParams]] = PlainParams
     Fitting: ClassVar[type[FittingParams]] = PlainFitting
-    _feet: SurfaceProjection | None = None
+    _projection: SurfaceProjection | None = None
 
     @staticmethod
     def features(params: PlainParams) -> int:
@@ -98,10 +98,10 @@ class PlainAvatar(SplatAvatar):
     def invalidate_neighbours(self) -> None:
         """Forget where Gaussians stood on the surface, too."""
         super().invalidate_neighbours()
-        self._feet = None
+        self._projection = None
 
     def _surface(self) -> SurfaceProjection:
-        if self._feet is None:
+        if self._projection is None:
             faces = self.body.faces.to(self.betas.device)
-            self._feet = closest_points(self.gaussians.means, self.canonical_vertices, faces)
-        return self._feet
+            self._projection = closest_points(self.gaussians.means, self.canonical_vertices, faces)
+        return self._projection

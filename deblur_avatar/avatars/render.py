@@ -23,12 +23,12 @@ def render_avatar(
     """Draw an avatar in B poses, each conditioned for itself.
 
     Args:
-        model: whom to draw.
+        model: the avatar to render.
         poses: B of them; their shape numbers are ignored in favour of the avatar's.
         camera: who looks.
-        frame: training position whose latent code colours are drawn with; -1 for the last.
+        frame: training position whose latent code colours are made with; -1 for the last.
         background: in the space in which the avatar's light is averaged; black if not given.
-        average: draw the B poses as the instants of one exposure, conditioned for the middle one.
+        average: render the B poses as the instants of one exposure, conditioned for the middle one.
 
     Returns:
         sRGB images in [0, 1], and coverage; of one exposure if `average`.
@@ -37,7 +37,7 @@ def render_avatar(
     camera = camera.to(device)
     frame = model.frames - 1 if frame < 0 else frame
     groups = [range(len(poses.transl))] if average else [[i] for i in range(len(poses.transl))]
-    drawn = []
+    rendered = []
     with torch.no_grad():
         turned = axis_angle_to_matrix(poses.axis_angle).to(device)
         for group in groups:
@@ -46,8 +46,8 @@ def render_avatar(
             transforms = model.transforms(rotations, poses.transl.to(device)[index])
             middle = len(group) // 2
             state = model.condition(rotations[middle], frame, transforms[middle], camera.viewmat)
-            drawn.append(
+            rendered.append(
                 model.render(state, transforms, camera, average=average, background=background)
             )
-    image = torch.cat([one.image for one in drawn])
-    return encode(image, model.light), torch.cat([one.alpha for one in drawn])
+    image = torch.cat([one.image for one in rendered])
+    return encode(image, model.averaging_space), torch.cat([one.alpha for one in rendered])

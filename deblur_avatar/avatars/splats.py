@@ -1,4 +1,4 @@
-"""Avatars of canonical Gaussians, skinned and drawn by the rasterizer: what their kinds share.
+"""Avatars of canonical Gaussians, skinned and rendered by the rasterizer: what their kinds share.
 
 Conventions. What does not depend on the instant inside an exposure is evaluated once a frame: blend
 weights, the square root of each covariance, colours. *Posing* applies S sets of joint transforms
@@ -68,9 +68,15 @@ class SplatAvatar(AvatarModel):
     gaussians: Gaussians
 
     def __init__(
-        self, params: Any, gaussians: Gaussians, body: Body, betas: Tensor, frames: int, light: str
+        self,
+        params: Any,
+        gaussians: Gaussians,
+        body: Body,
+        betas: Tensor,
+        frames: int,
+        averaging_space: str,
     ) -> None:
-        super().__init__(params, body, betas, frames, light)
+        super().__init__(params, body, betas, frames, averaging_space)
         self.gaussians = gaussians
         # The means that have been looked up on the body, and the weights found there.
         self._found: tuple[Tensor, Tensor] | None = None
@@ -83,7 +89,7 @@ class SplatAvatar(AvatarModel):
 
     @classmethod
     def create(
-        cls, params: Any, body: Body, betas: Tensor, frames: int, count: int, light: str,
+        cls, params: Any, body: Body, betas: Tensor, frames: int, count: int, averaging_space: str,
         generator: torch.Generator,
     ) -> "SplatAvatar":  # fmt: skip
         """A new avatar of `count` Gaussians on the canonical body's surface."""
@@ -91,7 +97,7 @@ class SplatAvatar(AvatarModel):
             canonical_vertices(body, betas), body.faces.to(betas.device), count,
             cls.features(params), generator,
         )  # fmt: skip
-        return cls(params, gaussians, body, betas, frames, light)
+        return cls(params, gaussians, body, betas, frames, averaging_space)
 
     @classmethod
     def rebuilt(cls, avatar: Avatar, params: Any, body: Body) -> "SplatAvatar":
@@ -137,11 +143,11 @@ class SplatAvatar(AvatarModel):
         self, state: SplatState, means: Tensor, covars: Tensor, camera: Camera, *,
         average: bool = False, background: Tensor | None = None,
     ) -> SplatRendering:  # fmt: skip
-        drawn = rasterize(
+        rendered = rasterize(
             means, covars, self.gaussians.opacities, state.colors, camera.viewmat, camera.K,
             camera.width, camera.height, background=background, average=average,
         )  # fmt: skip
-        return SplatRendering(drawn.image, drawn.alpha, len(means), drawn, means, covars)
+        return SplatRendering(rendered.image, rendered.alpha, len(means), rendered, means, covars)
 
     @property
     def densified(self) -> Gaussians:

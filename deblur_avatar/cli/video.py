@@ -135,7 +135,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "field_of_view": 60.0,
         "exposure_s": None,
         "shutter": 0.5,
-        "light": "linear",
+        "averaging_space": "linear",
         "held_out": 0.0,
         "keypoints": None,
         "masks": None,
@@ -144,7 +144,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
     scene = {
         "body": BODY,
         "clip": clip,
-        "blur": {"frames": "interpolated", "factor": 8, "window": 33, "light": "linear"},
+        "blur": {"frames": "interpolated", "factor": 8, "window": 33, "averaging_space": "linear"},
         "preprocess": {
             "poses": "estimated",
             "masks": "estimated",

@@ -63,7 +63,7 @@ def compare(
 
 def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:
     color = torch.tensor(reference.background)
-    light = srgb_to_linear(color) if model.light == "linear" else color
+    light = srgb_to_linear(color) if model.averaging_space == "linear" else color
     return light.to(model.betas)
 
 

@@ -1,7 +1,7 @@
 """Reconstructions of held-out blurred frames, which is what scores an avatar without ground truth.
 
-A frame is explained if the avatar, drawn over the exposure and averaged, looks like it; drawn at
-the exposure's middle, the same avatar shows what it would have been without blur.
+A frame is explained if the avatar, rendered over the exposure and averaged, looks like it;
+rendered at the exposure's middle, the same avatar shows what it would have been without blur.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ def reconstruct_held_out(
     max_frames: int,
     device: torch.device,
 ) -> tuple[Files, list[dict[str, Any]]]:
-    """Render some validation frames (training frames if none is set aside), spread over the clip.
+    """Render some validation frames (training frames if none is set aside), evenly spaced in time.
 
     Returns:
         Pictures by file name, and for each frame its entry in `views.json`: the names of its

@@ -17,7 +17,8 @@ from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 SAMPLES = 24  # frames whose silhouettes are compared
 
 
-HALF = 127  # of a matte's 255
+INSIDE = 127  # of a matte's 255: more is the person
+FULLY_INSIDE = 250
 
 
 SATURATED = 254  # sRGB code from which a channel holds no detail
@@ -126,7 +127,7 @@ def mask_body_iou(observations: Observations) -> float | None:
     for position in spaced_frames(observations, SAMPLES):
         body, mask = (
             silhouette(observations, position),
-            observations.mattes[position].numpy() > HALF,
+            observations.mattes[position].numpy() > INSIDE,
         )
         if (body | mask).any():
             scores.append((body & mask).sum() / (body | mask).sum())
@@ -135,14 +136,14 @@ def mask_body_iou(observations: Observations) -> float | None:
 
 def cut_off_share(observations: Observations, shown: Bool[Tensor, " F"]) -> float:
     """Share of frames whose mask reaches the picture's rim."""
-    full = observations.mattes[shown] > HALF
+    full = observations.mattes[shown] > INSIDE
     rim = full[:, 0].any(1) | full[:, -1].any(1) | full[:, :, 0].any(1) | full[:, :, -1].any(1)
     return float(rim.float().mean())
 
 
 def saturated_share(observations: Observations) -> float | None:
     """Share of the person's pixels in which a channel is saturated."""
-    inside = observations.mattes > 2 * HALF - 4
+    inside = observations.mattes > FULLY_INSIDE
     pixels = observations.frames[inside]
     return float((pixels >= SATURATED).any(-1).float().mean()) if len(pixels) else None
 

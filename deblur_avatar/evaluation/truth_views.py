@@ -25,7 +25,7 @@ from deblur_avatar.rendering.visibility import seen_cells, seen_pixels
 
 logger = logging.getLogger(__name__)
 
-HALF = 127  # of a matte's 255
+INSIDE = 127  # of a matte's 255: more is the person
 SEEN_CELLS = 2  # along a triangle's edge of the body, whose triangles are about a pixel wide
 RAYS_PER_AXIS = 2  # of a pixel
 
@@ -99,7 +99,7 @@ def _prepare(
     seen: Bool[Tensor, "H W"],
 ) -> TruthView:
     camera = int(reference.camera_indices[view])
-    foreground = _cut(observations, camera, reference.mattes[view]) > HALF
+    foreground = _cut(observations, camera, reference.mattes[view]) > INSIDE
     return TruthView(
         camera=camera,
         position=position,
@@ -133,7 +133,7 @@ def _seen_masks(
     """
     shown = reference.camera_indices.tolist()
     if reference.seen is not None:
-        return [_cut(observations, shown[v], reference.seen[v]) > HALF for v, _, _ in chosen]
+        return [_cut(observations, shown[v], reference.seen[v]) > INSIDE for v, _, _ in chosen]
     faces = observations.body.faces.numpy()
     vertices = [mesh.numpy() for mesh in posed_meshes(observations.body, observations.poses)]
     cameras = observations.cameras

@@ -61,7 +61,7 @@ def posed_gaussians(
             quats=quats.cpu(),
             scales=scales.cpu(),
             opacities=model.gaussians.opacities.cpu(),
-            colors=(linear_to_srgb(colors) if model.light == "linear" else colors).cpu(),
+            colors=(linear_to_srgb(colors) if model.averaging_space == "linear" else colors).cpu(),
         )
 
 

@@ -21,7 +21,7 @@ def contact_sheet(
     """Lay pictures out in rows, left to right, each under its label.
 
     Cells are as large as the largest picture; smaller ones are centred, none is scaled. Labels
-    wider than their cell are drawn smaller.
+    wider than their cell are shown smaller.
 
     Args:
         images: sRGB, sizes may differ.

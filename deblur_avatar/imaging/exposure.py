@@ -18,20 +18,22 @@ from torch import Tensor
 
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 
-Light = Literal["srgb", "linear"]
+AveragingSpace = Literal["srgb", "linear"]
 
 
-def expose(images: Float[Tensor, "S *image"], light: Light) -> Float[Tensor, "*image"]:
+def expose(
+    images: Float[Tensor, "S *image"], averaging_space: AveragingSpace
+) -> Float[Tensor, "*image"]:
     """Average the sharp pictures of one exposure, differentiably.
 
     Args:
         images: sRGB in [0, 1].
-        light: the space the mean is taken in.
+        averaging_space: the space the mean is taken in.
 
     Returns:
         The blurred picture, sRGB in [0, 1].
     """
-    if light == "srgb":
+    if averaging_space == "srgb":
         return mean_of_instants(images)
     return linear_to_srgb(mean_of_instants(srgb_to_linear(images)))
 
@@ -52,9 +54,11 @@ def with_instant(
     return torch.lerp(mean, image, 1 / (instants + 1))
 
 
-def encode(image: Float[Tensor, "*image"], light: Light | str) -> Float[Tensor, "*image"]:
+def encode(
+    image: Float[Tensor, "*image"], averaging_space: AveragingSpace | str
+) -> Float[Tensor, "*image"]:
     """Turn averaged light into sRGB values in [0, 1]."""
-    return linear_to_srgb(image.clamp(0, 1)) if light == "linear" else image.clamp(0, 1)
+    return linear_to_srgb(image.clamp(0, 1)) if averaging_space == "linear" else image.clamp(0, 1)
 
 
 def exposure_seconds(window: int, factor: int, fps: float) -> float:
@@ -95,7 +99,7 @@ def blur_windows(
     count: int,
     factor: int,
     window: int,
-    light: Light,
+    averaging_space: AveragingSpace,
 ) -> Iterator[UInt8[np.ndarray, "H W D"]]:
     """Average windows of sub-frames as they come, in the order of `frames_with_whole_window`.
 
@@ -107,7 +111,7 @@ def blur_windows(
         count: frames of the clip.
         factor: sub-frames a frame.
         window: sub-frames averaged, odd.
-        light: the space the mean of the first three channels is taken in.
+        averaging_space: the space the mean of the first three channels is taken in.
     """
     half = window // 2
     frames = frames_with_whole_window(count, factor, window)
@@ -121,23 +125,25 @@ def blur_windows(
             total = np.zeros(subframe.shape, np.float64)
         if index in opening:
             open_totals.append(total.copy())
-        total += _codes_to_light(subframe, light)
+        total += _codes_to_light(subframe, averaging_space)
         if index in closing:
-            yield _light_to_codes((total - open_totals.popleft()) / window, light)
+            yield _light_to_codes((total - open_totals.popleft()) / window, averaging_space)
 
 
 _LINEAR_OF_CODE = srgb_to_linear(torch.arange(256, dtype=torch.float64) / 255).numpy()
 
 
 def _codes_to_light(
-    image: UInt8[np.ndarray, "H W D"], light: Light
+    image: UInt8[np.ndarray, "H W D"], averaging_space: AveragingSpace
 ) -> UInt8[np.ndarray, "H W D"] | Float[np.ndarray, "H W D"]:
-    if light == "srgb":
+    if averaging_space == "srgb":
         return image
     return np.concatenate([_LINEAR_OF_CODE[image[..., :3]], image[..., 3:]], axis=-1)
 
 
-def _light_to_codes(mean: Float[np.ndarray, "H W D"], light: Light) -> UInt8[np.ndarray, "H W D"]:
-    if light == "linear":
+def _light_to_codes(
+    mean: Float[np.ndarray, "H W D"], averaging_space: AveragingSpace
+) -> UInt8[np.ndarray, "H W D"]:
+    if averaging_space == "linear":
         mean[..., :3] = linear_to_srgb(torch.from_numpy(mean[..., :3])).numpy() * 255
     return np.rint(mean).clip(0, 255).astype(np.uint8)

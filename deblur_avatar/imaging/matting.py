@@ -1,8 +1,8 @@
 """Matting: a person is lifted off a background that stands still, onto black.
 
 Conventions. A picture is the person's light plus (1 - alpha) times the background's light, where
-alpha is the matte (coverage). `light` says in which space light adds up: `linear`, or sRGB values
-(as averaged by the paper). Pictures and mattes are 8 bits; the camera stands still.
+alpha is the matte (coverage). `averaging_space` says in which space light adds up: `linear`, or
+sRGB values (as averaged by the paper). Pictures and mattes are 8 bits; the camera stands still.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
-from deblur_avatar.imaging.exposure import Light
+from deblur_avatar.imaging.exposure import AveragingSpace
 
 BARE = 26  # matte, of 255: below it (10 %) a pixel is taken to show the background
 FULL = 230  # from it on (90 %) a pixel is taken to show nothing but the person
@@ -85,7 +85,7 @@ def lift_person(
     frames: UInt8[Tensor, "F H W 3"],
     mattes: UInt8[Tensor, "F H W"],
     plates: Sequence[Plate],
-    light: Light,
+    averaging_space: AveragingSpace,
 ) -> UInt8[Tensor, "F H W 3"]:
     """Take the background's share away: pictures of the person on black.
 
@@ -93,7 +93,7 @@ def lift_person(
     the background is taken to have the pixel's own colour, which multiplies it by alpha.
     """
     triples = zip(frames, mattes, plates, strict=True)
-    return torch.stack([_lift(*triple, light) for triple in triples])
+    return torch.stack([_lift(*triple, averaging_space) for triple in triples])
 
 
 def no_plate(matte: UInt8[Tensor, "H W"]) -> Plate:
@@ -123,24 +123,26 @@ def _lift(
     frame: UInt8[Tensor, "H W 3"],
     matte: UInt8[Tensor, "H W"],
     plate: Plate,
-    light: Light,
+    averaging_space: AveragingSpace,
 ) -> UInt8[Tensor, "H W 3"]:
     touched = matte > 0
     alpha = (matte[touched].float() / 255)[:, None]
-    seen = _to_light(frame[touched], light)
-    hidden = _to_light(plate.picture[touched], light)
+    seen = _to_light(frame[touched], averaging_space)
+    hidden = _to_light(plate.picture[touched], averaging_space)
     hidden = torch.where(plate.known[touched][:, None], hidden, seen)
     person = (seen - (1 - alpha) * hidden).clamp(min=0).minimum(alpha)
     lifted = torch.zeros_like(frame)
-    lifted[touched] = _from_light(person, light)
+    lifted[touched] = _from_light(person, averaging_space)
     return lifted
 
 
-def _to_light(codes: UInt8[Tensor, "P 3"], light: Light) -> Float[Tensor, "P 3"]:
+def _to_light(codes: UInt8[Tensor, "P 3"], averaging_space: AveragingSpace) -> Float[Tensor, "P 3"]:
     srgb = codes.float() / 255
-    return srgb_to_linear(srgb) if light == "linear" else srgb
+    return srgb_to_linear(srgb) if averaging_space == "linear" else srgb
 
 
-def _from_light(values: Float[Tensor, "P 3"], light: Light) -> UInt8[Tensor, "P 3"]:
-    srgb = linear_to_srgb(values) if light == "linear" else values
+def _from_light(
+    values: Float[Tensor, "P 3"], averaging_space: AveragingSpace
+) -> UInt8[Tensor, "P 3"]:
+    srgb = linear_to_srgb(values) if averaging_space == "linear" else values
     return (srgb * 255).round().clamp(0, 255).to(torch.uint8)

@@ -69,12 +69,12 @@ def animate(
     The person keeps its shape, stands where it was filmed and faces the camera at first.
 
     Args:
-        avatar: whom to draw.
+        avatar: the one to render.
         observations: how the person was filmed; gives body, camera and the way up.
         fitted: the motion it was filmed in, shown if `params.motion` is `own`.
         params: which motion, and how to show it.
         where: key of `params`, for messages.
-        device: on which to draw.
+        device: on which to render.
         progress: wraps the loop over frames.
 
     Raises:

@@ -33,7 +33,7 @@ class BlurParams(Params):
     frames: Literal["interpolated", "true"]
     factor: Count  # sub-frames a frame
     window: Count  # sub-frames averaged, odd
-    light: Literal["srgb", "linear"]
+    averaging_space: Literal["srgb", "linear"]
 
 
 logger = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ def blur(clip: Clip, params: BlurParams) -> BlurryClip:
         frame_indices=tuple(kept),
         timestamps=clip.timestamps[chosen],
         exposure=exposure,
-        light=params.light,
+        averaging_space=params.averaging_space,
         held_out_from=_position(kept, clip.held_out_from),
         initial=None if clip.initial is None else clip.initial.at(chosen),
         exact=None if clip.exact is None else clip.exact.at(chosen),
@@ -130,7 +130,7 @@ def _passed_through(clip: Clip) -> BlurryClip:
         frame_indices=tuple(range(len(clip.timestamps))),
         timestamps=clip.timestamps,
         exposure=clip.exposure,
-        light=clip.light,
+        averaging_space=clip.averaging_space,
         held_out_from=clip.held_out_from,
         initial=clip.initial,
         exact=clip.exact,
@@ -143,7 +143,8 @@ def _true_blur(
     frames = true_blur_of(clip, params)
     if frames is None or clip.true_blur_exposure is None:
         raise ConfigError(
-            f"blur.frames: the source has no true blur in {params.light} light; use `interpolated`"
+            f"blur.frames: the source has no true blur in {params.averaging_space} light; "
+            "use `interpolated`"
         )
     if not is_of_same_window(clip, exposure, kept):
         raise ConfigError(
@@ -159,7 +160,7 @@ def _true_blur(
 
 def true_blur_of(clip: Clip, params: BlurParams) -> UInt8[Tensor, "E H W 3"] | None:
     """The physically true blur in the light asked for, where the source knows it."""
-    return clip.true_blur_srgb if params.light == "srgb" else clip.true_blur_linear
+    return clip.true_blur_srgb if params.averaging_space == "srgb" else clip.true_blur_linear
 
 
 def is_of_same_window(clip: Clip, exposure: float, kept: Sequence[int]) -> bool:
@@ -178,7 +179,7 @@ def _interpolated_blur(
     def blur_camera(row: int) -> None:
         raised = subframes(pictures_of(clip, row), params.factor)
         count = len(clip.timestamps)
-        windows = blur_windows(raised, count, params.factor, params.window, params.light)
+        windows = blur_windows(raised, count, params.factor, params.window, params.averaging_space)
         name = f"blur {clip.cameras.names[clip.recorded[row]]}"
         for position, picture in enumerate(run.progress(windows, name, len(kept))):
             frames[row, position] = torch.from_numpy(picture[..., :3])

@@ -59,7 +59,7 @@ def evaluate(
         reference: sharp test views, none for a user's own video, and the true motion where known.
         avatar: fitted.
         motion: of every exposure.
-        device: to draw on.
+        device: to render on.
 
     Raises:
         ArtifactError: if there are test views, but none can be compared.

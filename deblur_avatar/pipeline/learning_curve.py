@@ -22,7 +22,9 @@ from deblur_avatar.evaluation.metrics import recovered_metrics
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
-VIEWS = 12  # test views that each snapshot is compared with, spread over cameras and instants
+VIEWS = (
+    12  # test views that each snapshot is compared with, evenly spaced over cameras and instants
+)
 
 
 @dataclass(frozen=True)
@@ -46,12 +48,12 @@ def learning_curve(
         observations: the blurred ones, whatever the run was fitted to.
         reference: sharp test views; without any only frames set aside are scored.
         stages: what each fitting stage of the run wrote, by its name.
-        device: to draw on.
+        device: to render on.
 
     Raises:
         ArtifactError: if a snapshot is damaged.
     """
-    views = _spread(truth_views(observations, reference))
+    views = _evenly(truth_views(observations, reference))
     moments = moments_of(stages)
     points = [
         _scored(moment, observations, reference, views, device)
@@ -101,7 +103,7 @@ def _scored(
     }
 
 
-def _spread(views: Sequence[TruthView]) -> list[TruthView]:
+def _evenly(views: Sequence[TruthView]) -> list[TruthView]:
     """Some of the novel views, evenly over cameras and instants."""
     novel = [view for view in views if not view.novel_pose]
     steps = torch.linspace(0, len(novel) - 1, min(VIEWS, len(novel))).round().long().tolist()

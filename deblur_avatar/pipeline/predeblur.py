@@ -71,7 +71,9 @@ def predeblur(
     for index in range(len(frames)):
         box = _box(blurred.mattes[index])
         if box is not None:
-            made = _sharpened(frames[index][box], mattes[index][box], blurred.light, params)
+            made = _sharpened(
+                frames[index][box], mattes[index][box], blurred.averaging_space, params
+            )
             frames[index][box], mattes[index][box], length = made
             lengths.append(length)
     mean = sum(lengths) / len(lengths) if lengths else None
@@ -80,11 +82,14 @@ def predeblur(
 
 
 def _sharpened(
-    frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], light: str, params: PredeblurParams
+    frame: UInt8[Tensor, "H W 3"],
+    matte: UInt8[Tensor, "H W"],
+    averaging_space: str,
+    params: PredeblurParams,
 ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W"], float]:
     """One frame's box, and how long its PSFs are where the person is, pixels."""
     colors = _unit(frame)
-    colors = srgb_to_linear(colors) if light == "linear" else colors
+    colors = srgb_to_linear(colors) if averaging_space == "linear" else colors
     coverage = _unit(matte)
     layers, lengths = deblur_by_matte(
         torch.cat([colors.permute(2, 0, 1), coverage[None]]),
@@ -92,7 +97,7 @@ def _sharpened(
         regularisation=params.regularisation, window_sigma=params.window_sigma, gain=params.gain,
     )  # fmt: skip
     colors = layers[:3].permute(1, 2, 0)
-    colors = linear_to_srgb(colors) if light == "linear" else colors
+    colors = linear_to_srgb(colors) if averaging_space == "linear" else colors
     mean = float((lengths * coverage).sum() / coverage.sum())
     return _codes(colors), _codes(layers[3]), mean
 

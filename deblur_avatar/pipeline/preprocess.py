@@ -34,7 +34,7 @@ from deblur_avatar.config.section import (
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import BackgroundKind, background_of
-from deblur_avatar.imaging.exposure import Light, frames_before
+from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
 from deblur_avatar.imaging.matting import (
     comparable_pixels,
     lift_person,
@@ -130,7 +130,8 @@ def preprocess(
 
     def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
         if background.plates is not None:
-            frames = lift_person(frames, mattes, background.plates, cast(Light, clip.light))
+            space = cast(AveragingSpace, clip.averaging_space)
+            frames = lift_person(frames, mattes, background.plates, space)
         return crop_and_scale(frames, crop, size), crop_and_scale(mattes, crop, size)
 
     cut = cut_out(clip.frames[row], mattes)
@@ -184,7 +185,7 @@ def _observations(
         frame_indices=clip.frame_indices,
         timestamps=clip.timestamps,
         exposure=clip.exposure,
-        light=clip.light,
+        averaging_space=clip.averaging_space,
         train=train,
         validation=validation,
         depth_known=params.depth == "known",

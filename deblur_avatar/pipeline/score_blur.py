@@ -29,7 +29,7 @@ def score_blur(clip: Clip, blurry: BlurryClip, params: BlurParams) -> dict[str, 
         params: how.
 
     Returns:
-        `interpolation`: every second frame, drawn from its neighbours; `blur`: the blurred frames
+        `interpolation`: every second frame, guessed from its neighbours; `blur`: the blurred frames
         against the physically true blur, None where that is not known; and what was averaged.
         Of a clip that was blurred when it came, its numbers of frames alone.
     """
@@ -47,7 +47,7 @@ def score_blur(clip: Clip, blurry: BlurryClip, params: BlurParams) -> dict[str, 
         "window": params.window,
         "factor": params.factor,
         "exposure_ms": 1e3 * exposure,
-        "light": params.light,
+        "averaging_space": params.averaging_space,
         "source": params.frames,
     }
 
@@ -63,24 +63,24 @@ def _counts(clip: Clip, blurry: BlurryClip) -> dict[str, int]:
 
 
 def _interpolation_scores(clip: Clip, row: int) -> dict[str, float | None] | None:
-    """Draw every second frame of the training camera from its neighbours, and compare.
+    """Interpolate every second frame of the training camera, and compare.
 
     `plain` is the mean of the two neighbours, which any interpolation must beat.
     """
     even = list(pictures_of(clip, row, stride=2))
     if len(even) < 2:
         return None
-    drawn, plain = [], []
+    between, plain = [], []
     pairs = run.progress(list(pairwise(even)), "interpolation, held-out frames")
     for a, b in pairs:
-        drawn.append(interpolate(a, b, estimate_flow(a, b), Fraction(1, 2))[..., :3])
+        between.append(interpolate(a, b, estimate_flow(a, b), Fraction(1, 2))[..., :3])
         plain.append(cv2.addWeighted(a, 0.5, b, 0.5, 0)[..., :3])
-    odd = slice(1, 2 * len(drawn), 2)
+    odd = slice(1, 2 * len(between), 2)
     truth = clip.frames[row, odd]
     mattes = None if clip.mattes is None else clip.mattes[row, odd]
     plain_scores = _scores(torch.from_numpy(np.stack(plain)), truth, mattes)
     return {
-        **_scores(torch.from_numpy(np.stack(drawn)), truth, mattes),
+        **_scores(torch.from_numpy(np.stack(between)), truth, mattes),
         "psnr_plain": plain_scores["psnr"],
         "psnr_person_plain": plain_scores["psnr_person"],
     }

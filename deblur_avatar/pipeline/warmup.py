@@ -37,13 +37,13 @@ def warm_up(
     betas = observations.poses.betas.to(device)
     avatar = AVATARS[recipe.model.kind].create(
         recipe.model, observations.body, betas, len(observations.frames), schedule.gaussians,
-        observations.light, generator,
+        observations.averaging_space, generator,
     ).to(device)  # fmt: skip
     trajectory = FixedMotion(observations.poses).to(device)
     params = FitParams(recipe=recipe, motion=FixedParams(kind="fixed"), schedule=schedule)
     fit = AvatarFit(avatar, trajectory, observations, params, device, generator)
-    begun = folder is not None and folder.progress is not None
-    if not begun:
+    resumes = folder is not None and folder.progress is not None
+    if not resumes:
         avatar.pretrain(generator)
     spent = time.perf_counter() - begin
     seconds = fit.run(1, schedule.warmup, "sharp", "mean", report, folder, spent)

@@ -792,11 +792,11 @@ void write_empty_tile(const Frame& f, const Tile& tile, int64_t picture) {
 
 // One tile of one picture; of the mean picture, all poses in turn.
 template <int V>
-void draw_tile(const Frame& f, int64_t picture, int64_t t) {
+void render_tile(const Frame& f, int64_t picture, int64_t t) {
   constexpr int SIZE = BLOCKS * (V + 1) * L;
   alignas(64) float scratch[SIZE], sum[SIZE];
   const int64_t first = f.average ? 0 : picture, last = f.average ? f.poses : picture + 1;
-  int64_t drawn = 0;
+  int64_t rendered = 0;
   const float* states = nullptr;
   for (int64_t pose = first; pose < last; ++pose) {
     const int64_t busy = f.busy_index[pose * tiles_of(f) + t];
@@ -806,13 +806,13 @@ void draw_tile(const Frame& f, int64_t picture, int64_t t) {
     states = to;
     if (!f.average) continue;
     for (int i = 0; i < SIZE; i += L)
-      store(sum + i, drawn ? load(sum + i) + load(to + i) : load(to + i));
-    ++drawn;
+      store(sum + i, rendered ? load(sum + i) + load(to + i) : load(to + i));
+    ++rendered;
   }
   const Tile tile(f, picture, t);
   if (!states) return write_empty_tile(f, tile, picture);
   if (f.average) {
-    const float clear = (float)(f.poses - drawn), scale = 1.0f / f.poses;
+    const float clear = (float)(f.poses - rendered), scale = 1.0f / f.poses;
     for (int k = 0; k < BLOCKS; ++k)
       for (int v = 0; v <= V; ++v) {
         float* const s = sum + (k * (V + 1) + v) * L;
@@ -824,10 +824,10 @@ void draw_tile(const Frame& f, int64_t picture, int64_t t) {
 }
 
 template <int V>
-void draw(const Frame& f) {
+void render(const Frame& f) {
   const int64_t pictures = f.average ? 1 : f.poses, tiles = tiles_of(f);
 #pragma omp parallel for schedule(dynamic, 1) num_threads((int)f.threads)
-  for (int64_t i = 0; i < pictures * tiles; ++i) draw_tile<V>(f, i / tiles, i % tiles);
+  for (int64_t i = 0; i < pictures * tiles; ++i) render_tile<V>(f, i / tiles, i % tiles);
 }
 
 // ------------------------------------------------------------------------------------ the way back
@@ -841,7 +841,7 @@ constexpr int SLOT = (SV + V + 2 + 3) / 4 * 4;
 // What L visits of one block found, before the sums over its pixels.
 struct Batch {
   vf alpha[L], slope_x[L], slope_y[L];
-  vf g[L], weight[L], pull[L];
+  vf g[L], weight[L], mean_grad[L];
   alignas(64) float x[L], y[L];
 };
 
@@ -866,7 +866,7 @@ __attribute__((noinline)) void add_batch(const Batch& batch, const int32_t* pair
     for (int v = 0; v < V; ++v)
       values[v][i] =
           (t[0] * grad[v][0] + t[1] * grad[v][1]) + (t[2] * grad[v][2] + t[3] * grad[v][3]);
-    transpose_in_rows(batch.pull + 4 * i, t);
+    transpose_in_rows(batch.mean_grad + 4 * i, t);
     pull_x[i] = t[0] + t[1], pull_y[i] = t[2] + t[3];
   }
   transpose_rows(m0, 1);
@@ -951,7 +951,7 @@ inline void differentiate_block(const Record* records, const Visits* visits, int
         batch.g[k + i] = moment;
         batch.weight[k + i] = weight[i];
         const vf x = abs(moment * batch.slope_x[k + i]), y = abs(moment * batch.slope_y[k + i]);
-        batch.pull[k + i] = join_first(x, y) + join_last(x, y);
+        batch.mean_grad[k + i] = join_first(x, y) + join_last(x, y);
       }
     }
     add_batch<V>(batch, list + at, n, value_grad, px[0], py[0], sums);
@@ -1094,7 +1094,7 @@ void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t 
   for (int64_t pose = p0; pose < p1; ++pose) {
     const Placement* const placements = f.placements + pose * N + i;
     const int64_t chunk = f.chunk_slot[pose * (f.chunks + 1) + (i >> f.chunk_shift)] - first_slot;
-    vf s[16], grad[3] = {}, covar_grad[6] = {}, pull[2] = {}, abs_pull[2] = {};
+    vf s[16], grad[3] = {}, covar_grad[6] = {}, mean_grad[2] = {}, abs_mean_grad[2] = {};
     const vi seen = V == 3 ? sum_slots<3>(placements, f.slots + chunk * SLOT<3>, count, s)
                            : sum_slots<5>(placements, f.slots + chunk * SLOT<5>, count, s);
     if (any(seen)) {
@@ -1108,9 +1108,9 @@ void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t 
       const vf kyy = only(seen, p.conic_yy);
       opacity_grad += only(seen, s[S0] / (seen ? opacity[0] : one));
       for (int64_t c = 0; c < C; ++c) color_grad[c] += s[SV + c];
-      pull[0] = kxx * s[SX] + kxy * s[SY], pull[1] = kxy * s[SX] + kyy * s[SY];
+      mean_grad[0] = kxx * s[SX] + kxy * s[SY], mean_grad[1] = kxy * s[SX] + kyy * s[SY];
       // In base 2 the slopes carry a factor -1 / ln 2.
-      abs_pull[0] = LN2 * s[SV + V], abs_pull[1] = LN2 * s[SV + V + 1];
+      abs_mean_grad[0] = LN2 * s[SV + V], abs_mean_grad[1] = LN2 * s[SV + V + 1];
       // d covariance = 1/2 K S K
       const vf t00 = kxx * s[SXX] + kxy * s[SXY], t01 = kxx * s[SXY] + kxy * s[SYY];
       const vf t10 = kxy * s[SXX] + kyy * s[SXY], t11 = kxy * s[SXY] + kyy * s[SYY];
@@ -1137,8 +1137,8 @@ void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t 
       const vf scale_x = cam.fx * p.rz, scale_y = cam.fy * p.rz;
       // M_0 = fx rz (R_0 - clamped_x R_2), x = fx slope_x + cx, slope_x = p_x rz
       const vi free_x = p.slope_x == p.clamped_x, free_y = p.slope_y == p.clamped_y;
-      const vf slope_x_grad = cam.fx * pull[0] - only(free_x, scale_x * q02);
-      const vf slope_y_grad = cam.fy * pull[1] - only(free_y, scale_y * q12);
+      const vf slope_x_grad = cam.fx * mean_grad[0] - only(free_x, scale_x * q02);
+      const vf slope_y_grad = cam.fy * mean_grad[1] - only(free_y, scale_y * q12);
       const vf scale_grad =
           cam.fx * (q00 - p.clamped_x * q02) + cam.fy * (q11 - p.clamped_y * q12);
       const vf x_grad = p.rz * slope_x_grad, y_grad = p.rz * slope_y_grad;
@@ -1148,8 +1148,8 @@ void gather(const Frame& f, const Camera& cam, int64_t i, int64_t rows, int64_t 
         grad[k] = only(seen, cam.r[0][k] * x_grad + cam.r[1][k] * y_grad + cam.r[2][k] * z_grad);
     }
     if (f.means_grad) store_rows<3>(f.means_grad + (pose * N + i) * 3, rows, grad);
-    if (f.means2d_grad) store_rows<2>(f.means2d_grad + (pose * N + i) * 2, rows, pull);
-    if (f.means2d_absgrad) store_rows<2>(f.means2d_absgrad + (pose * N + i) * 2, rows, abs_pull);
+    if (f.means2d_grad) store_rows<2>(f.means2d_grad + (pose * N + i) * 2, rows, mean_grad);
+    if (f.means2d_absgrad) store_rows<2>(f.means2d_absgrad + (pose * N + i) * 2, rows, abs_mean_grad);
     if (f.covars_grad && !f.covars_shared)
       store_covar_grads(f, pose * N + i, rows, false, covar_grad);
     for (int k = 0; k < 6; ++k) shared_grad[k] += covar_grad[k];
@@ -1276,7 +1276,7 @@ void forward(Frame* frame) {
   for (int64_t i = 0; f.keep && i < f.poses * tiles; ++i)
     if (f.busy_index[i] >= 0) f.busy_tiles[f.busy_index[i]] = (int32_t)i;
   const int64_t values = values_of(f);
-  values <= 3 ? draw<3>(f) : draw<5>(f);
+  values <= 3 ? render<3>(f) : render<5>(f);
 }
 
 void backward(Frame* frame) {

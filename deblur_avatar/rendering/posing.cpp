@@ -81,12 +81,12 @@ void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads
     const int64_t width = 12 * poses, total = joints * width;
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t chunk = 0; chunk < chunks(gaussians); ++chunk) {
-        std::vector<float> blend(width), pull(width);
+        std::vector<float> blend(width), blend_grad(width);
         float *partial = partials + chunk * total;
         std::memset(partial, 0, total * sizeof(float));
         const int64_t last = std::min(gaussians, (chunk + 1) * CHUNK);
         for (int64_t n = chunk * CHUNK; n < last; ++n) {
-            float *row = blend.data(), *back = pull.data();
+            float *row = blend.data(), *back = blend_grad.data();
             blend_transforms(joints, width, weights + n * joints, transforms, row);
             const float *x = means + 3 * n, *s = covariance_factors + 9 * n;
             float dx[3] = {0, 0, 0}, ds[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};

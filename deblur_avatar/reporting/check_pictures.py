@@ -18,7 +18,7 @@ from deblur_avatar.animation.placement import stage_rotation
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.scene_measures import (
-    HALF,
+    INSIDE,
     silhouette,
     spaced_frames,
 )
@@ -74,7 +74,7 @@ def _overlay(observations: Observations, position: int) -> Picture:
     scale = HEIGHT / frame.shape[0]
     size = (max(1, round(frame.shape[1] * scale)), HEIGHT)
     canvas = np.array(cv2.resize(frame, size, interpolation=cv2.INTER_LINEAR))
-    _outline(canvas, observations.mattes[position].numpy() > HALF, MASK)
+    _outline(canvas, observations.mattes[position].numpy() > INSIDE, MASK)
     _outline(canvas, silhouette(observations, position), BODY)
     _skeleton(canvas, observations, position, scale)
     return canvas
@@ -84,7 +84,7 @@ def _outline(canvas: Picture, inside: Bool[np.ndarray, "H W"], color: tuple[int,
     size = canvas.shape[1], canvas.shape[0]
     large = cv2.resize(inside.astype(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR)
     pieces, _ = cv2.findContours(
-        (large > HALF).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
+        (large > INSIDE).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE
     )
     cv2.drawContours(canvas, pieces, -1, color, 1, cv2.LINE_AA)
 

@@ -58,7 +58,7 @@ def draw_pictures(
     motion: Motion,
     device: torch.device,
 ) -> Pictures:
-    """Choose test views spread over cameras and time, the same for every method of a scene.
+    """Choose test views evenly spaced over cameras and time, the same for every method of a scene.
 
     Without any, blurred frames set aside take their place, beside the averaged and the sharp
     render of them.
@@ -75,8 +75,8 @@ def draw_pictures(
         files["turntable.png"] = turntable(avatar, observations, device)
         return Pictures(files, index)
     chosen = [
-        *_spread([c for c in comparisons if not c.view.novel_pose], NOVEL_VIEWS),
-        *_spread([c for c in comparisons if c.view.novel_pose], NOVEL_POSES),
+        *_evenly([c for c in comparisons if not c.view.novel_pose], NOVEL_VIEWS),
+        *_evenly([c for c in comparisons if c.view.novel_pose], NOVEL_POSES),
     ]
     files, index = {}, []
     for comparison in chosen:
@@ -165,7 +165,7 @@ def _held_out_strip(files: dict[str, Picture], index: Sequence[dict[str, Any]]) 
     return contact_sheet([files[e[kind]] for kind in rows for e in index], len(index), labels)
 
 
-def _spread(comparisons: Sequence[Comparison], count: int) -> list[Comparison]:
+def _evenly(comparisons: Sequence[Comparison], count: int) -> list[Comparison]:
     """Some comparisons, walking through the cameras forward and through time backward.
 
     In opposite directions, because a person who turns as the cameras do shows all of them one side.

@@ -64,12 +64,12 @@ class Strip:
     pictures: dict[str, Picture]
 
 
-def strips_of_scene(folders: Mapping[str, Path], most: int) -> list[Strip]:
-    """Line up the views that all methods of a scene have drawn.
+def strips_of_scene(folders: Mapping[str, Path], max_strips: int) -> list[Strip]:
+    """Line up the views that all methods of a scene have rendered.
 
     Args:
         folders: what `evaluate` left, by method.
-        most: how many strips at most; the views kept are spread over those there are.
+        max_strips: how many strips at most; the views kept are evenly spaced among those there are.
 
     Raises:
         ArtifactError: if a folder's list or one of its pictures is missing or damaged.
@@ -79,7 +79,7 @@ def strips_of_scene(folders: Mapping[str, Path], most: int) -> list[Strip]:
     common = (
         [key for key in views[shown[0]] if all(key in views[m] for m in shown)] if shown else []
     )
-    chosen = [common[index] for index in _spread(len(common), most)]
+    chosen = [common[index] for index in _evenly(len(common), max_strips)]
     return [_strip({m: (folders[m], views[m][key]) for m in shown}) for key in chosen]
 
 
@@ -107,17 +107,17 @@ def _views(folder: Path) -> dict[tuple[str, int], _View]:
     return {(view.camera, view.frame): view for view in views}
 
 
-def _spread(count: int, most: int) -> list[int]:
-    """At most `most` of `count` places, evenly spread, the first and last among them."""
-    if count <= most:
+def _evenly(count: int, max_count: int) -> list[int]:
+    """At most `max_count` of `count` places, evenly spaced, the first and last among them."""
+    if count <= max_count:
         return list(range(count))
-    return sorted({round(place) for place in np.linspace(0, count - 1, most)})
+    return sorted({round(place) for place in np.linspace(0, count - 1, max_count)})
 
 
-def _strip(drawn: Mapping[str, tuple[Path, _View]]) -> Strip:
-    folder, view = next(iter(drawn.values()))
+def _strip(views: Mapping[str, tuple[Path, _View]]) -> Strip:
+    folder, view = next(iter(views.values()))
     truth = {TRUTH: read_picture(folder / view.truth)} if view.truth is not None else {}
-    pictures = {method: read_picture(path / v.render) for method, (path, v) in drawn.items()}
+    pictures = {method: read_picture(path / v.render) for method, (path, v) in views.items()}
     box = person_box([*truth.values(), *pictures.values()])
     cut = {label: _framed(picture, box) for label, picture in {**pictures, **truth}.items()}
     blurred = read_picture(folder / view.blurred)

@@ -31,6 +31,7 @@ from deblur_avatar.reporting.results_table import (
 )
 
 NOT_KNOWN = "not known"
+_SPACES = {"srgb": "sRGB values", "linear": "linear light"}
 
 COST = (
     TRAINING, TO_PAPER, RENDERING, MEMORY, GAUSSIANS, SIZE, ON_DISK,
@@ -125,8 +126,8 @@ def facts_of(blur: Mapping[str, Any], preprocess: Mapping[str, Any]) -> list[str
     if exposure is not None:
         facts.append(f"shutter open for {exposure:.0f} ms")
     if blur.get("window"):
-        light = {"srgb": "sRGB values", "linear": "linear light"}.get(str(blur.get("light")), "")
-        facts.append(f"{blur['window']} sub-frames averaged{f' as {light}' if light else ''}")
+        space = _SPACES.get(str(blur.get("averaging_space")), "")
+        facts.append(f"{blur['window']} sub-frames averaged{f' as {space}' if space else ''}")
     guessed = look_up(blur, ("interpolation", "psnr_person"))
     where = " on the person"
     if guessed is None:

@@ -53,7 +53,7 @@ class MonocularParams(Params):
     field_of_view: Annotated[float, Field(gt=5, lt=150)]  # degrees, longer side; the last resort
     exposure_s: Positive | None  # seconds the shutter is open; null: `shutter` says
     shutter: Annotated[float, Field(gt=0, le=1)]  # exposure as a share of the frame interval
-    light: Literal["srgb", "linear"]
+    averaging_space: Literal["srgb", "linear"]
     held_out: Annotated[float, Field(ge=0, lt=1)]  # last part of the clip, kept from training
     keypoints: str | None  # OpenPose's or COCO's JSON
     masks: str | None  # folder of pictures; not black is person
@@ -118,7 +118,7 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         timestamps=(footage.timestamps - footage.timestamps[0]).float(),
         blurred=True,
         exposure=params.exposure_s or params.shutter * footage.interval,
-        light=params.light,
+        averaging_space=params.averaging_space,
         held_out_from=max(1, round(count * (1 - params.held_out))),
         initial=_poses(params, footage, body),
         exact=None,

@@ -111,7 +111,7 @@ def load_multiview(params: MultiviewParams, segment: Segment) -> tuple[Clip, Ref
         timestamps=videos[params.train_camera].timestamps.float(),
         blurred=False,
         exposure=None,
-        light="linear",
+        averaging_space="linear",
         held_out_from=max(1, round(count * (1 - params.held_out))),
         initial=None,
         exact=None,

@@ -20,7 +20,7 @@ SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are
 
 
 class Densifier:
-    """Collects how strongly each Gaussian is pulled, and edits the set by it.
+    """Collects how strongly each Gaussian is moved, and edits the set by it.
 
     Source: Kerbl et al. 2023 sec. 5, with 3DGS-Avatar's thresholds. Without opacity resets, which
     under blur throw away what the average has already explained; and without the limit on the size
@@ -47,14 +47,14 @@ class Densifier:
         params: DensifyParams,
         generator: torch.Generator,
     ) -> None:
-        """Clone small and split large Gaussians that are pulled, then drop faint and huge ones."""
+        """Clone small, split large Gaussians of large gradient; drop faint and huge ones."""
         grad_accum = self.grad_accum / self.count.clamp(min=1)
         with torch.no_grad():
             largest = gaussians.scales.amax(1)
             room = int(params.max_growth * self._first_count) - len(gaussians)
-            pulled = _strongest(grad_accum, params.gradient, max(room, 0))
-            clone = pulled & (largest <= params.clone_below_m)
-            split = pulled & ~clone
+            moved = _strongest(grad_accum, params.gradient, max(room, 0))
+            clone = moved & (largest <= params.clone_below_m)
+            split = moved & ~clone
             faint = gaussians.opacities < params.prune_opacity
             keep = ~(split | faint | (largest > params.prune_scale_m))
             added = [_cloned(gaussians, clone), *_halves(gaussians, split, generator)]

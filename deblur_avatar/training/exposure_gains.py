@@ -13,7 +13,7 @@ from torch import Tensor
 from deblur_avatar.imaging.color import srgb_to_linear
 from deblur_avatar.training.targets import Target
 
-# Not parameters: a gain settles in five visits, and no camera drifts by more.
+# Not parameters: a gain settles in five steps, and no camera drifts by more.
 BLEND = 0.5  # of what a visit finds with what was known
 MAX_VALUE = 1.4  # of a gain's logarithm: two stops
 
@@ -21,37 +21,37 @@ MAX_VALUE = 1.4  # of a gain's logarithm: two stops
 class ExposureGains:
     """One gain a frame: by how much the frame is brighter than its render, where the person is.
 
-    The first visit finds how the avatar's colours begin, not the light, and is only counted.
+    The first comparison finds how the avatar's colours begin, not the light, and is only counted.
     """
 
-    def __init__(self, frames: int, light: str, device: torch.device) -> None:
-        self._light = light
-        self._found = torch.zeros(frames, device=device)
-        self._visits = torch.zeros(frames, dtype=torch.long, device=device)
+    def __init__(self, frames: int, averaging_space: str, device: torch.device) -> None:
+        self._averaging_space = averaging_space
+        self._log_gains = torch.zeros(frames, device=device)
+        self._count = torch.zeros(frames, dtype=torch.long, device=device)
 
     def of(self, frame: int) -> Float[Tensor, ""]:
         """What a render is multiplied by before it is compared with a frame."""
-        known = self._visits > 1
+        known = self._count > 1
         if not bool(known[frame]):
-            return torch.ones_like(self._found[0])
-        return (self._found[frame] - self._found[known].mean()).exp()
+            return torch.ones_like(self._log_gains[0])
+        return (self._log_gains[frame] - self._log_gains[known].mean()).exp()
 
     def observe(self, frame: int, render: Float[Tensor, "H W 3"], target: Target) -> None:
         """Compare a frame with its render, which has no gain yet."""
-        seen = srgb_to_linear(target.image) if self._light == "linear" else target.image
+        seen = srgb_to_linear(target.image) if self._averaging_space == "linear" else target.image
         inside = target.comparable_part(target.matte[..., None])
         ratio = (seen * inside).sum() / (render.detach() * inside).sum().clamp(min=1e-6)
         found = ratio.clamp(min=1e-6).log().clamp(-MAX_VALUE, MAX_VALUE)
-        visits = int(self._visits[frame])
-        blend = BLEND if visits > 1 else 1.0
-        self._found[frame] = torch.lerp(self._found[frame], found, blend)
-        self._visits[frame] += 1
+        count = int(self._count[frame])
+        blend = BLEND if count > 1 else 1.0
+        self._log_gains[frame] = torch.lerp(self._log_gains[frame], found, blend)
+        self._count[frame] += 1
 
     def state(self) -> dict[str, Tensor]:
         """What a later stage goes on from."""
-        return {"found": self._found, "visits": self._visits}
+        return {"found": self._log_gains, "visits": self._count}
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take over what `state` gave."""
-        self._found.copy_(state["found"])
-        self._visits.copy_(state["visits"])
+        self._log_gains.copy_(state["found"])
+        self._count.copy_(state["visits"])

@@ -52,8 +52,10 @@ class Objective:
         self, compared: list[tuple[float, Tensor]], alpha: Tensor, target: Target
     ) -> dict[str, Tensor]:
         """How far pictures (with their shares) and coverage are from a frame and its matte."""
-        light = self._avatar.light
-        images = [(w, target.comparable_part(encode(image, light))) for w, image in compared]
+        averaging_space = self._avatar.averaging_space
+        images = [
+            (w, target.comparable_part(encode(image, averaging_space))) for w, image in compared
+        ]
         terms = {}
         for name, (row, compare) in self._losses.items():
             if row.region == "coverage":

@@ -40,7 +40,7 @@ class Exposure:
     """The renders of one exposure.
 
     instants: all of them, or their mean; the middle alone where nothing else is compared.
-    sharp: at the middle, where it was drawn apart.
+    sharp: at the middle, where it was rendered apart.
     """
 
     instants: Rendering
@@ -70,12 +70,12 @@ class Supervision:
 
     @property
     def averages(self) -> bool:
-        """Whether instants other than the middle are drawn."""
+        """Whether instants other than the middle are rendered."""
         return self.render != "sharp"
 
     @property
     def needs_sharp(self) -> bool:
-        """Whether the middle is drawn apart from the instants."""
+        """Whether the middle is rendered apart from the instants."""
         return self.render == "fused"
 
     def compared(
@@ -84,7 +84,7 @@ class Supervision:
         """The renders that are compared with the frame, and their shares.
 
         Args:
-            exposure: what was drawn.
+            exposure: what was rendered.
             blend: the fusion network, where there is one.
             iteration: of the paper's 15,000.
             still: tells whether the frame counts as still.
@@ -152,9 +152,9 @@ SUPERVISIONS: dict[str, Supervision] = {
 class Mask:
     """Which coverage is compared with the matte.
 
-    of: the coverage, of what a supervision has drawn.
+    of: the coverage, of what a supervision has rendered.
     each: whether every instant's own is needed, not only their mean.
-    needs_sharp: whether the middle is drawn apart from the instants.
+    needs_sharp: whether the middle is rendered apart from the instants.
     """
 
     of: Callable[[Exposure, Supervision], Float[Tensor, "H W"]]

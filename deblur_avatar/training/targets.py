@@ -34,7 +34,7 @@ def target_of(observations: Observations, index: int, device: torch.device) -> T
     Raises:
         ArtifactError: if its mask is black.
     """
-    image = observations.frames[index].to(device).float() / 255
+    image = observations.comparable_part(observations.frames[index].to(device).float() / 255, index)
     matte = observations.mattes[index].to(device).float() / 255
     rows, columns = torch.nonzero(matte > 0, as_tuple=True)
     if len(rows) == 0:
@@ -49,5 +49,4 @@ def target_of(observations: Observations, index: int, device: torch.device) -> T
     comparable = None
     if observations.comparable is not None:
         comparable = observations.comparable[index].to(device).float() / 255
-        image = image * comparable[..., None]
     return Target(image, matte, comparable, box, float(observations.weights[index]))

@@ -86,7 +86,7 @@ class AvatarFit:
         densified = avatar.densified
         self._densifier = None if densified is None else Densifier(len(densified), device)
         self._gains = (
-            ExposureGains(len(observations.frames), observations.light, device)
+            ExposureGains(len(observations.frames), observations.averaging_space, device)
             if recipe.exposure_gain == "frame"
             else None
         )
@@ -255,7 +255,7 @@ class AvatarFit:
         self, index: int, instants: Instants, supervision: Supervision, mask: Mask,
         step: TrainingStep,
     ) -> tuple[Exposure, FrameState]:  # fmt: skip
-        """Draw what is compared of an exposure, conditioned for its middle."""
+        """Render what is compared of an exposure, conditioned for its middle."""
         # Asked for twice: the order of operations is that in which gradients are added.
         centre = instants.centre_rotations
         rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
@@ -264,12 +264,12 @@ class AvatarFit:
             transl = torch.cat([instants.transl, transl])
         transforms = self.avatar.transforms(rotations, transl)
         state = self.avatar.condition(centre, index, transforms[-1], self._camera.viewmat, step)
-        drawn = transforms[:-1] if supervision.averages else transforms
+        shown = transforms[:-1] if supervision.averages else transforms
         average = not mask.each
         if supervision.averages and (supervision.needs_sharp or mask.needs_sharp):
             both = self.avatar.render_exposure(state, transforms, self._camera, average=average)
             return Exposure(*both), state
-        rendering = self.avatar.render(state, drawn, self._camera, average=average)
+        rendering = self.avatar.render(state, shown, self._camera, average=average)
         return Exposure(rendering, None), state
 
     def _blend(self, exposure: Exposure, state: FrameState) -> Blend | None:
@@ -297,16 +297,18 @@ class AvatarFit:
 
     def _densify(self, step: TrainingStep, rendering: Rendering) -> None:
         """Add and drop Gaussians, of avatars that are made of them."""
-        gaussians, drawn = self.avatar.densified, rendering.rasterization
-        if gaussians is None or self._densifier is None or drawn is None:
+        gaussians, rasterized = self.avatar.densified, rendering.rasterization
+        if gaussians is None or self._densifier is None or rasterized is None:
             return
-        if not drawn.screen.filled:  # no loss looked at these renders
+        if not rasterized.screen.filled:  # no loss looked at these renders
             return
         params = step.fitting.densify
         if not (step.past(params.start) and step.iteration < params.stop * step.scale):
             return
         camera = self._camera
-        self._densifier.observe(drawn.screen.means2d_grad, drawn.radii, camera.width, camera.height)
+        screen = rasterized.screen
+        size = (camera.width, camera.height)
+        self._densifier.observe(screen.means2d_grad, rasterized.radii, *size)
         if step.iteration % max(round(params.every * step.scale), 1) == 0:
             assert self.optimizers.gaussians is not None
             self._densifier.edit(gaussians, self.optimizers.gaussians, params, self._generator)

@@ -245,13 +245,17 @@ def test_an_exposure_is_dressed_and_coloured_for_its_middle(dressed_up, swinging
     assert (blurred - sharp.mean(0)).abs().max() > 1e-4
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
-def test_the_rasterizers_average_is_the_exposure_of_sharp_pictures(light, painted, swinging, front):
-    model, poses = painted(light=light), swinging(4, 40.0)
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_the_rasterizers_average_is_the_exposure_of_sharp_pictures(
+    averaging_space, painted, swinging, front
+):
+    model, poses = painted(averaging_space=averaging_space), swinging(4, 40.0)
     sharp = picture(model, poses, front)
     blurred = picture(model, poses, front, average=True)[0]
-    assert (light == "linear") == bool((expose(sharp, light) - sharp.mean(0)).abs().max() > 0.05)
-    torch.testing.assert_close(blurred, expose(sharp, light), atol=1e-5, rtol=0)
+    assert (averaging_space == "linear") == bool(
+        (expose(sharp, averaging_space) - sharp.mean(0)).abs().max() > 0.05
+    )
+    torch.testing.assert_close(blurred, expose(sharp, averaging_space), atol=1e-5, rtol=0)
 
 
 def test_encoding_keeps_colours_in_range_and_gradients_finite():
@@ -306,7 +310,7 @@ def test_a_saved_avatar_draws_the_same_picture_bit_for_bit(
     assert torch.equal(picture(loaded, poses, front), picture(model, poses, front))
     assert loaded.frames == model.frames
     assert loaded.params == model.params
-    assert loaded.light == model.light
+    assert loaded.averaging_space == model.averaging_space
 
 
 def test_an_artifact_does_not_change_when_fitting_goes_on(dressed_up, body):

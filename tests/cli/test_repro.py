@@ -38,8 +38,8 @@ def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
     clip = {
         "source": "monocular", "path": "mine.mp4", "frames": [0, None], "stride": 1, "fps": 30.0,
         "image_height": 48, "focal": "estimated", "field_of_view": 60.0, "exposure_s": None,
-        "shutter": 0.5, "light": "linear", "held_out": 0.0, "keypoints": None, "masks": None,
-        "poses": None,
+        "shutter": 0.5, "averaging_space": "linear", "held_out": 0.0, "keypoints": None,
+        "masks": None, "poses": None,
     }  # fmt: skip
     tiny_content["scenes"]["courtyard"]["clip"] = clip
     with (folder / "params.yaml").open("w") as file:

@@ -13,7 +13,7 @@ from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.pipeline.fusion import FusionParams
 
 ROOT = Path(__file__).parents[2]
-GOOD = "blur: {frames: interpolated, factor: 8, window: 33, light: srgb}\n"
+GOOD = "blur: {frames: interpolated, factor: 8, window: 33, averaging_space: srgb}\n"
 
 
 def written(tmp_path, text):
@@ -24,7 +24,7 @@ def written(tmp_path, text):
 
 def test_a_section_becomes_a_typed_object(tmp_path):
     params = load_params(written(tmp_path, GOOD), "blur", BlurParams)
-    assert (params.window, params.light) == (33, "srgb")
+    assert (params.window, params.averaging_space) == (33, "srgb")
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_a_section_becomes_a_typed_object(tmp_path):
         (GOOD.replace("33", "33.5"), "window: input should be a valid integer, got 33.5"),
         (GOOD.replace("33", "'33'"), "window: input should be a valid integer, got '33'"),
         (GOOD.replace("33", "0"), "window: input should be greater than or equal to 1, got 0"),
-        (GOOD.replace("srgb", "gamma"), "light: input should be 'srgb' or 'linear'"),
+        (GOOD.replace("srgb", "gamma"), "averaging_space: input should be 'srgb' or 'linear'"),
         ("blur: [", "is not YAML"),
         ("blurr: {}", "blur: the file has no key 'blur', it has blurr"),
     ],

@@ -29,7 +29,12 @@ def test_a_kind_without_a_case_is_found(jobs, key, registry, monkeypatch):
 
 @pytest.mark.parametrize(
     "word",
-    [("mask", "union"), ("supervision", "fused"), ("light", "linear"), ("exposure_gain", "frame")],
+    [
+        ("mask", "union"),
+        ("supervision", "fused"),
+        ("averaging_space", "linear"),
+        ("exposure_gain", "frame"),
+    ],
 )
 def test_a_word_of_a_parameter_without_a_case_is_found(jobs, word):
     assert uncovered([job for job in jobs if list(word) not in job.words]) >= {word}

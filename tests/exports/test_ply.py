@@ -75,10 +75,13 @@ def test_colours_that_are_averaged_as_light_are_written_as_srgb(
 ):
     poses = swinging(5, 8.0)
     read = {}
-    for light in ("srgb", "linear"):
+    for averaging_space in ("srgb", "linear"):
         exporter = parse(ExportParams, {"format": "ply", "frame": 0}, "export")
-        exporter.export(run_of(painted(light=light), observations, poses), tmp_path / "pose.ply")
-        read[light] = read_splats(tmp_path / "pose.ply")["colors"]
+        exporter.export(
+            run_of(painted(averaging_space=averaging_space), observations, poses),
+            tmp_path / "pose.ply",
+        )
+        read[averaging_space] = read_splats(tmp_path / "pose.ply")["colors"]
     linear = read["srgb"].double()
     srgb = torch.where(
         linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-9) ** (1 / 2.4) - 0.055

@@ -225,7 +225,7 @@ def example(kind: type[Artifact]) -> Artifact:
         "frames": _images(*stack, 3), "mattes": _images(*stack),
         "landmarks": torch.ones(1, 3, 4, 3),
         "recorded": (0,), "train_camera": 0, "cameras": _cameras(), "timestamps": _times(),
-        "exposure": 0.01, "light": "srgb", "held_out_from": 2, "initial": _poses(),
+        "exposure": 0.01, "averaging_space": "srgb", "held_out_from": 2, "initial": _poses(),
         "exact": _poses(), "frame_indices": frames,
     }  # fmt: skip
     fields: dict[str, dict[str, object]] = {
@@ -245,7 +245,7 @@ def example(kind: type[Artifact]) -> Artifact:
             "comparable": _images(3, 6, 8), "cameras": _cameras(),
             "crops": torch.ones(1, 4), "train_camera": 0, "body": _body(), "poses": _poses(),
             "weights": torch.ones(3), "frame_indices": frames, "timestamps": _times(),
-            "exposure": 0.01, "light": "srgb", "train": (0, 1), "validation": (2,),
+            "exposure": 0.01, "averaging_space": "srgb", "train": (0, 1), "validation": (2,),
             "depth_known": True, "occluded_fraction": 0.5,
         },
         "Reference": {

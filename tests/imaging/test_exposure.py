@@ -20,8 +20,10 @@ def pictures(count: int, depth: int = 3) -> list[np.ndarray]:
     return list(generator.integers(0, 256, (count, 5, 7, depth), dtype=np.uint8))
 
 
-def windows(images: list[np.ndarray], count: int, window: int, light: str) -> list[np.ndarray]:
-    return list(blur_windows(images, count, FACTOR, window, light))
+def windows(
+    images: list[np.ndarray], count: int, window: int, averaging_space: str
+) -> list[np.ndarray]:
+    return list(blur_windows(images, count, FACTOR, window, averaging_space))
 
 
 def test_light_adds_up_in_linear_not_in_srgb():
@@ -33,22 +35,24 @@ def test_light_adds_up_in_linear_not_in_srgb():
     torch.testing.assert_close(expose(black_then_white, "srgb"), torch.full((1, 1, 3), 0.5))
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
-def test_a_still_picture_does_not_blur(light):
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_a_still_picture_does_not_blur(averaging_space):
     picture = torch.rand(4, 4, 3, dtype=torch.float64)
-    torch.testing.assert_close(expose(picture.expand(9, 4, 4, 3), light), picture)
+    torch.testing.assert_close(expose(picture.expand(9, 4, 4, 3), averaging_space), picture)
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
-def test_the_order_of_sub_frames_is_invisible(light):
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_the_order_of_sub_frames_is_invisible(averaging_space):
     images = torch.rand(5, 4, 4, 3, dtype=torch.float64)
-    torch.testing.assert_close(expose(images.flip(0), light), expose(images, light))
+    torch.testing.assert_close(
+        expose(images.flip(0), averaging_space), expose(images, averaging_space)
+    )
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
-def test_gradients_reach_every_sub_frame(light):
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_gradients_reach_every_sub_frame(averaging_space):
     images = torch.rand(3, 2, 2, 3, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda x: expose(x, light), images)
+    assert torch.autograd.gradcheck(lambda x: expose(x, averaging_space), images)
 
 
 def test_the_papers_windows_last_as_long_as_the_paper_says():
@@ -68,29 +72,31 @@ def test_a_window_without_a_middle_is_refused():
         frames_with_whole_window(COUNT, FACTOR, 8)
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
 @pytest.mark.parametrize("window", [1, 5, 9, 17])
-def test_running_sums_equal_the_mean_of_each_window(light, window):
+def test_running_sums_equal_the_mean_of_each_window(averaging_space, window):
     images = pictures(FACTOR * (COUNT - 1) + 1)
     kept = frames_with_whole_window(COUNT, FACTOR, window)
-    blurred = windows(images, COUNT, window, light)
+    blurred = windows(images, COUNT, window, averaging_space)
     assert len(blurred) == len(kept)
     for frame, picture in zip(kept, blurred, strict=True):
         inside = images[frame * FACTOR - window // 2 : frame * FACTOR + window // 2 + 1]
-        mean = expose(torch.from_numpy(np.stack(inside)).double() / 255, light) * 255
+        mean = expose(torch.from_numpy(np.stack(inside)).double() / 255, averaging_space) * 255
         assert len(inside) == window
         assert np.abs(picture - mean.numpy()).max() <= 0.5 + 1e-6
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
-def test_one_sub_frame_is_the_frame_itself(light):
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_one_sub_frame_is_the_frame_itself(averaging_space):
     images = pictures(FACTOR * (COUNT - 1) + 1, depth=4)
-    assert np.array_equal(windows(images, COUNT, 1, light), images[::FACTOR])
+    assert np.array_equal(windows(images, COUNT, 1, averaging_space), images[::FACTOR])
 
 
 def test_a_matte_is_averaged_as_coverage_in_either_light():
     images = pictures(FACTOR * (COUNT - 1) + 1, depth=4)
-    in_srgb, in_linear = (windows(images, COUNT, 9, light) for light in ("srgb", "linear"))
+    in_srgb, in_linear = (
+        windows(images, COUNT, 9, averaging_space) for averaging_space in ("srgb", "linear")
+    )
     assert np.array_equal(np.stack(in_srgb)[..., 3], np.stack(in_linear)[..., 3])
     assert (np.stack(in_srgb)[..., :3] < np.stack(in_linear)[..., :3]).mean() > 0.9
 

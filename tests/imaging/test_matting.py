@@ -27,14 +27,14 @@ def codes(values: torch.Tensor) -> torch.Tensor:
     return (values * 255).round().to(torch.uint8)
 
 
-def walk(coverage: float = 1.0, light: str = "srgb") -> tuple[torch.Tensor, torch.Tensor]:
+def walk(coverage: float = 1.0, averaging_space: str = "srgb") -> tuple[torch.Tensor, torch.Tensor]:
     """A person 8 pixels wide walks 4 pixels a frame; frames and mattes."""
     frames, mattes = [], []
     for frame in range(FRAMES):
         alpha = torch.zeros(HEIGHT, WIDTH)
         alpha[6:18, 2 + 4 * frame : 10 + 4 * frame] = coverage
         share = alpha[..., None]
-        if light == "linear":
+        if averaging_space == "linear":
             mixed = share * srgb_to_linear(PERSON) + (1 - share) * srgb_to_linear(background())
             frames.append(codes(linear_to_srgb(mixed)))
         else:
@@ -63,12 +63,14 @@ def test_what_is_never_bare_is_not_known():
     assert not background_plate(frames, mattes).known[12, 20]
 
 
-@pytest.mark.parametrize("light", ["srgb", "linear"])
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
 @pytest.mark.parametrize("coverage", [1.0, 0.6])
-def test_lifting_undoes_the_mixture_with_the_background(light: str, coverage: float):
-    frames, mattes = walk(coverage, light)
-    lifted = lift_person(frames, mattes, [background_plate(frames, mattes)] * len(frames), light)
-    if light == "linear":
+def test_lifting_undoes_the_mixture_with_the_background(averaging_space: str, coverage: float):
+    frames, mattes = walk(coverage, averaging_space)
+    lifted = lift_person(
+        frames, mattes, [background_plate(frames, mattes)] * len(frames), averaging_space
+    )
+    if averaging_space == "linear":
         alone = linear_to_srgb(coverage * srgb_to_linear(PERSON))
     else:
         alone = coverage * PERSON

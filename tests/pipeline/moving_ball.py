@@ -9,7 +9,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.pipeline.blur import BlurParams
 
 FRAMES, HEIGHT, WIDTH, FPS = 12, 36, 48, 60.0
-PLAIN = BlurParams(frames="interpolated", factor=4, window=9, light="srgb")
+PLAIN = BlurParams(frames="interpolated", factor=4, window=9, averaging_space="srgb")
 
 
 def picture(time: float) -> np.ndarray:
@@ -54,7 +54,7 @@ def make_clip(true_window: int = 9, recorded: tuple[int, ...] = (1,)) -> Clip:
         timestamps=torch.arange(FRAMES) / FPS,
         blurred=False,
         exposure=None,
-        light="srgb",
+        averaging_space="srgb",
         held_out_from=9,
         initial=poses,
         exact=None,

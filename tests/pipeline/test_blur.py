@@ -54,8 +54,8 @@ def test_every_recorded_camera_is_blurred_alike():
 def test_linear_light_is_brighter_where_bright_and_dark_mix():
     clip = make_clip()
     in_srgb = blur(clip, PLAIN)
-    in_linear = blur(clip, changed(PLAIN, light="linear"))
-    assert in_linear.light == "linear"
+    in_linear = blur(clip, changed(PLAIN, averaging_space="linear"))
+    assert in_linear.averaging_space == "linear"
     assert in_linear.frames.double().mean() > in_srgb.frames.double().mean() + 0.2
     assert torch.equal(in_linear.mattes, in_srgb.mattes)
 
@@ -73,11 +73,11 @@ def test_a_window_of_one_gives_the_sharp_frames():
 
 
 def test_a_clip_that_is_blurred_already_passes_through():
-    clip = dataclasses.replace(make_clip(), blurred=True, exposure=0.02, light="linear")
+    clip = dataclasses.replace(make_clip(), blurred=True, exposure=0.02, averaging_space="linear")
     blurry = blur(clip, PLAIN)
     assert torch.equal(blurry.frames, clip.frames)
     assert blurry.exposure == 0.02
-    assert blurry.light == "linear"
+    assert blurry.averaging_space == "linear"
     assert blurry.sharp_frames is None
 
 
@@ -86,7 +86,7 @@ def test_a_clip_that_is_blurred_already_passes_through():
     [
         ({"window": 8}, "a window centred on a frame is odd, got 8"),
         ({"window": 45}, "45 sub-frames, 4 a frame, leave no training frame of a clip of 12"),
-        ({"frames": "true", "light": "linear"}, "no true blur in linear light"),
+        ({"frames": "true", "averaging_space": "linear"}, "no true blur in linear light"),
         ({"frames": "true", "window": 11}, "true blur is of 37.50 ms, .* ask for 45.83 ms"),
         ({"frames": "true", "window": 7}, "true blur is of 37.50 ms, .* ask for 29.17 ms"),
     ],

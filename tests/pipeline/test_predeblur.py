@@ -59,7 +59,7 @@ def test_all_but_the_pictures_is_as_it_was_and_the_exposure_is_nothing(blurred):
 
 
 def test_light_that_was_averaged_linearly_is_sharpened_linearly(blurred):
-    linear = dataclasses.replace(blurred, light="linear")
+    linear = dataclasses.replace(blurred, averaging_space="linear")
     one, _ = predeblur(blurred, PARAMS)
     other, _ = predeblur(linear, PARAMS)
     assert torch.equal(one.mattes, other.mattes)

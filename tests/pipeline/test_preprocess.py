@@ -54,7 +54,7 @@ def clip(poses: Poses, people: dict[int, Landmarks]) -> BlurryClip:
         frame_indices=tuple(range(2, 2 + FRAMES)),
         timestamps=torch.arange(2, 2 + FRAMES) / FPS,
         exposure=3 / FPS,
-        light="srgb",
+        averaging_space="srgb",
         held_out_from=7,
         initial=poses,
         exact=dataclasses.replace(poses, transl=poses.transl + 1),

@@ -323,7 +323,7 @@ def test_only_views_that_all_methods_drew_are_lined_up(project):
     path = project / "evaluate/studio-agnostic/views.json"
     write_json(path, json.loads(path.read_text())[:1])
     folders = {m: project / "evaluate" / f"studio-{m}" for m in PSNR}
-    strips = strips_of_scene(folders, most=4)
+    strips = strips_of_scene(folders, max_strips=4)
     assert len(strips) == 1
     assert list(strips[0].pictures) == [INPUT, "agnostic", "paper", "oracle", TRUTH]
     assert "frame 2" in strips[0].caption
@@ -332,7 +332,7 @@ def test_only_views_that_all_methods_drew_are_lined_up(project):
 
 def test_every_picture_of_a_strip_shows_the_person_large_and_in_the_same_place(project):
     folders = {m: project / "evaluate" / f"studio-{m}" for m in PSNR}
-    strip = strips_of_scene(folders, most=1)[0]
+    strip = strips_of_scene(folders, max_strips=1)[0]
     boxes = {label: person_box([picture]) for label, picture in strip.pictures.items()}
     left, top, right, bottom = boxes[TRUTH]
     # Twelve rows of twenty, enlarged no more than twofold: 24 rows and a margin.
@@ -348,7 +348,9 @@ def test_strips_are_spread_over_the_views(project):
         view = json.loads((folder / "views.json").read_text())[0]
         write_json(folder / "views.json", [{**view, "frame": frame} for frame in range(9)])
     folders = {m: project / "evaluate" / f"studio-{m}" for m in PSNR}
-    frames = [re.search(r"frame (\d+)", s.caption)[1] for s in strips_of_scene(folders, most=3)]
+    frames = [
+        re.search(r"frame (\d+)", s.caption)[1] for s in strips_of_scene(folders, max_strips=3)
+    ]
     assert frames == ["0", "4", "8"]
 
 
@@ -403,7 +405,7 @@ def test_fitted_bodies_are_shown_camera_by_camera():
 
 def test_facts_are_said_as_far_as_they_are_known():
     blur = {
-        "window": 33, "light": "linear", "exposure_ms": 68.75, "blur": None,
+        "window": 33, "averaging_space": "linear", "exposure_ms": 68.75, "blur": None,
         "interpolation": {"psnr": 41.67, "psnr_person": None},
     }  # fmt: skip
     preprocess = {"frames": {"train": 70, "validation": 8, "without_person": 2}}

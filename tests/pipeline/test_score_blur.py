@@ -29,6 +29,6 @@ def test_true_blur_of_another_window_measures_nothing(window):
 
 
 def test_of_a_clip_that_is_blurred_already_frames_are_counted_alone():
-    clip = dataclasses.replace(make_clip(), blurred=True, exposure=0.02, light="linear")
+    clip = dataclasses.replace(make_clip(), blurred=True, exposure=0.02, averaging_space="linear")
     counts = {"clip": 12, "kept": 12, "dropped": 0, "held_out": 3}
     assert scores(clip, PLAIN) == {"frames": counts}

@@ -35,7 +35,7 @@ def test_a_warm_up_makes_an_avatar_its_memory_and_its_cost(warm, recipe, schedul
     assert cost["precision"].startswith("bfloat16, ")
     assert cost["cpu"] == torch.backends.cpu.get_cpu_capability()
     assert avatar.model["frames"] == len(observations.frames)
-    assert avatar.model["light"] == observations.light
+    assert avatar.model["light"] == observations.averaging_space
     assert torch.equal(avatar.betas, observations.poses.betas)
     model = avatar_from_artifact(avatar, observations.body, CPU)
     assert model.params == recipe.model

@@ -37,7 +37,7 @@ def folder(tmp_path_factory, tiny_parameters):
             "test_stride": 3, "pose_cameras": [], "mask_folders": ["mask", "mask_cihp"],
             "mask_dilation": 0, "background": "black", "poses": "new_params", "held_out": 0.0,
         },
-        "blur": {"frames": "interpolated", "factor": 8, "window": 9, "light": "srgb"},
+        "blur": {"frames": "interpolated", "factor": 8, "window": 9, "averaging_space": "srgb"},
         "preprocess": {
             "poses": "given", "depth": "known", "masks": "given", "background": "none",
             "margin": 0.1, "validation_stride": 10,

@@ -29,8 +29,8 @@ def params(path: Path, **changes: object) -> MonocularParams:
     asked: dict[str, object] = {
         "source": "monocular", "path": str(path), "frames": [0, None], "stride": 1, "fps": 30.0,
         "image_height": HEIGHT // 2, "focal": "field_of_view", "field_of_view": 60.0,
-        "exposure_s": None, "shutter": 0.5, "light": "linear", "held_out": 0.0, "keypoints": None,
-        "masks": None, "poses": None,
+        "exposure_s": None, "shutter": 0.5, "averaging_space": "linear", "held_out": 0.0,
+        "keypoints": None, "masks": None, "poses": None,
     }  # fmt: skip
     return parse(ClipParams, asked | changes, "scenes.mine.clip")
 
@@ -48,7 +48,7 @@ def test_a_video_becomes_a_blurred_clip_without_truth(body: Body, video: Path, t
     assert clip.blurred
     assert clip.frames.shape == (1, COUNT, HEIGHT // 2, WIDTH // 2, 3)
     assert clip.exposure == pytest.approx(0.5 / FPS)
-    assert clip.light == "linear"
+    assert clip.averaging_space == "linear"
     assert len(reference.images) == 0
     for artifact in (clip, reference):
         artifact.save(tmp_path / "x")

@@ -12,7 +12,7 @@ PARAMS = """
 seed: 0
 scenes:
   tiny:
-    blur: {frames: interpolated, factor: 2, window: 3, light: srgb}
+    blur: {frames: interpolated, factor: 2, window: 3, averaging_space: srgb}
 """
 
 
@@ -34,7 +34,7 @@ def tiny_clip() -> Clip:
         timestamps=torch.arange(5) / 30.0,
         blurred=False,
         exposure=None,
-        light="srgb",
+        averaging_space="srgb",
         held_out_from=4,
         initial=None,
         exact=None,

@@ -30,7 +30,7 @@ def clip(body: Body, swinging: Any, front: Cameras) -> BlurryClip:
     return BlurryClip(
         frames=frames, mattes=mattes, sharp_frames=frames[0], sharp_mattes=mattes[0],
         recorded=(0,), train_camera=0, cameras=front, frame_indices=tuple(range(FRAMES)),
-        timestamps=torch.arange(FRAMES) / 60, exposure=0.05, light="srgb",
+        timestamps=torch.arange(FRAMES) / 60, exposure=0.05, averaging_space="srgb",
         held_out_from=FRAMES - 2, initial=poses, exact=poses,
     )  # fmt: skip
 
@@ -64,7 +64,7 @@ TOUCHES = {
     "masks_above": (127.0, {"mattes"}), "masks_black": (1.0, {"mattes"}),
     "masks_all_black": (0.0, {"mattes"}), "gain_ramp_stops": (1.0, {"frames"}),
     "flicker_share": (0.2, {"frames"}), "clipped_at": (180.0, {"frames"}),
-    "declared_linear": (1.0, {"light"}), "body_behind_camera": (0.0, {"cameras"}),
+    "declared_linear": (1.0, {"averaging_space"}), "body_behind_camera": (0.0, {"cameras"}),
 }  # fmt: skip
 
 

@@ -96,7 +96,7 @@ TOLD = [
     Told("extreme_pose", {}, {}, {"stretch": 5.1}),
     Told("degenerate_cameras", {"zero_focal": 0.0}, REFUSED, {}),
     Told("bad_numbers", {"nan_pose_frame": 5.0}, REFUSED, {}),
-    Told("needles", {}, {}, {"finite": False}),
+    Told("degenerate_gaussians", {}, {}, {"finite": False}),
     Told("overtraining", {}, {}, {"score": 17.3}),
     Told("absorbed", {}, {}, {"mean_scale_mm": 26.0}),
     Told("seeds", {}, {}, {"score": 15.9}),
@@ -147,6 +147,6 @@ def test_the_same_seed_must_give_the_same_bytes():
 
 @pytest.mark.parametrize("value", [None, float("nan"), 2.0])
 def test_what_was_not_measured_breaks_a_limit(value):
-    check = Check("growth", value, most=1.0)
+    check = Check("growth", value, maximum=1.0)
     assert not check.passed
     assert check.sentence.endswith("wanted at most 1.00")

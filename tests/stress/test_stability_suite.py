@@ -38,7 +38,9 @@ SCHEDULE = ScheduleParams(warmup=6, trajectory=10, fusion=14, gaussians=200, ima
 SEVERITIES = {
     "seeds": ("seed 0", {"scene": "turn", "damage": {}, "fit": {}}),
     "noise_iid": ("6 degrees", {"scene": "turn", "damage": {"noise_iid_degrees": 6.0}, "fit": {}}),
-    "needles": ("needles", {"scene": "turn", "damage": {}, "fit": {"needles": 0.05}}),
+    "degenerate_gaussians": (
+        "thin", {"scene": "turn", "damage": {}, "fit": {"degenerate": 0.05}},
+    ),
     "masks_empty": ("all", {"scene": "turn", "damage": {"masks_all_black": 0.0}, "fit": {}}),
     "degenerate_cameras": (
         "behind", {"scene": "turn", "damage": {"body_behind_camera": 0.0}, "fit": {}},

@@ -84,7 +84,7 @@ def test_zju_mocap_is_the_six_subjects_of_the_paper():
     for subject, window in WINDOWS.items():
         scene = content["scenes"][f"zju_{subject}"]
         assert scene["blur"] == {
-            "frames": "interpolated", "factor": 8, "window": window, "light": "srgb",
+            "frames": "interpolated", "factor": 8, "window": window, "averaging_space": "srgb",
         }  # fmt: skip
         clip = load_params(ZJU / PARAMS, f"scenes.zju_{subject}.clip", ClipParams)
         assert clip.root == f"$(ZJU_MOCAP_ROOT)/CoreView_{subject}"

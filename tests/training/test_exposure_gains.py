@@ -17,8 +17,10 @@ def seen(brightness: float) -> Target:
     return Target(image, matte, None, (0, 0, 4, 4), 1.0)
 
 
-def visited(brightness: list[float], times: int = 2, light: str = "srgb") -> ExposureGains:
-    gains = ExposureGains(len(brightness) + 1, light, CPU)
+def visited(
+    brightness: list[float], times: int = 2, averaging_space: str = "srgb"
+) -> ExposureGains:
+    gains = ExposureGains(len(brightness) + 1, averaging_space, CPU)
     for _ in range(times):
         for frame, value in enumerate(brightness):
             gains.observe(frame, torch.full((4, 4, 3), 0.4), seen(value))
@@ -43,7 +45,7 @@ def test_frames_that_were_seen_once_or_never_have_no_gain():
 
 
 def test_light_is_compared_in_the_space_in_which_it_is_averaged():
-    gains = visited([0.5, 1.0], light="linear")
+    gains = visited([0.5, 1.0], averaging_space="linear")
     # sRGB 0.5 is linear 0.2140.
     assert float(gains.of(1) / gains.of(0)) == pytest.approx(1 / 0.2140, rel=1e-3)
 

@@ -68,8 +68,8 @@ def begin(observations, recipe, schedule):
         torch.manual_seed(0)
         generator = torch.Generator().manual_seed(0)
         model = AVATARS[params.model.kind].create(
-            params.model, seen.body, seen.poses.betas, len(seen.frames), count, seen.light,
-            generator,
+            params.model, seen.body, seen.poses.betas, len(seen.frames), count,
+            seen.averaging_space, generator,
         )  # fmt: skip
         section = motion_of(motion, noise, **moves)
         apart = torch.Generator().manual_seed(1)  # so that all motions see the same draws
@@ -385,10 +385,10 @@ def test_light_is_averaged_before_it_is_encoded(begin, sharpened):
     """The same avatar, taken to be linear, is brighter in sRGB; a black frame shows by how much."""
     black = torch.zeros(5, 24, 24, 3, dtype=torch.uint8)
     terms = {
-        light: begin(motion="pair", seen=sharpened(frames=black, light=light)).step(
-            1, "mean", "mean"
-        )
-        for light in ("srgb", "linear")
+        averaging_space: begin(
+            motion="pair", seen=sharpened(frames=black, averaging_space=averaging_space)
+        ).step(1, "mean", "mean")
+        for averaging_space in ("srgb", "linear")
     }
     assert terms["linear"]["l1"] > 1.2 * terms["srgb"]["l1"]
     assert terms["linear"]["mask"] == pytest.approx(terms["srgb"]["mask"])

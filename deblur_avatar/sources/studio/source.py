@@ -2,7 +2,7 @@
 
 Conventions. World: +Y up, the floor at y = 0, metres; the person starts facing camera 0, which
 stands on +Z. There are `SUBFRAMES` sub-frames a frame; frame f is sub-frame SUBFRAMES * f. The
-background is black. Everything drawn is an instant: blur is the mean of instants.
+background is black. Everything rendered is an instant: blur is the mean of instants.
 """
 
 import itertools
@@ -195,7 +195,7 @@ def _film_clip(scene: Scene, generator: torch.Generator) -> Clip:
         timestamps=scene.timestamps.float(),
         blurred=False,
         exposure=0.0,
-        light="linear",
+        averaging_space="linear",
         held_out_from=scene.held_out_from,
         initial=_poses(initial, betas),
         exact=_poses(scene.true, betas),

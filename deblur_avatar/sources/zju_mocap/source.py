@@ -105,7 +105,7 @@ def load_zju_mocap(params: ZjuMocapParams, body: Body) -> tuple[Clip, Reference]
         timestamps=torch.arange(count) * (params.stride / params.fps),
         blurred=False,
         exposure=None,
-        light="linear",
+        averaging_space="linear",
         held_out_from=max(1, round(count * (1 - params.held_out))),
         initial=read_poses(root, numbers, body) if params.poses == "new_params" else None,
         exact=None,
