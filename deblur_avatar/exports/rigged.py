@@ -58,7 +58,7 @@ def rigged_avatar(run: FittedRun) -> RiggedAvatar:
             log_scales=own.log_scales.clone(),
             opacities=own.opacities.clone(),
             colors=own.features[:, :COLORS].sigmoid(),
-            averaging_space=model.light,
+            averaging_space=model.averaging_space,
             lbs_weights=model.weights_at(own.means),
             joints=shaped_joints(body, model.betas),
             rest_from_canonical=model.rest_from_canonical,

@@ -45,8 +45,8 @@ def page_exporter() -> PageExport:
 def rough(painted: Callable[..., PlainAvatar]) -> Callable[..., PlainAvatar]:
     """An avatar of Gaussians of all shapes, no two of which are equally far from any camera."""
 
-    def make(light: str = "srgb", count: int = 600) -> PlainAvatar:
-        model = painted(light=light, count=count)
+    def make(averaging_space: str = "srgb", count: int = 600) -> PlainAvatar:
+        model = painted(averaging_space=averaging_space, count=count)
         generator = torch.Generator().manual_seed(5)
         with torch.no_grad():
             for values, size in (

@@ -35,8 +35,8 @@ def test_a_page_of_8000_gaussians_and_two_motions_is_small(rough, fitted_run, pa
 def test_the_same_run_gives_the_same_bytes_and_another_gives_others(
     rough, fitted_run, page_exporter, tmp_path
 ):
-    for name, light in (("a", "srgb"), ("b", "srgb"), ("c", "linear")):
-        page_exporter.export(fitted_run(rough(light)), tmp_path / f"{name}.html")
+    for name, space in (("a", "srgb"), ("b", "srgb"), ("c", "linear")):
+        page_exporter.export(fitted_run(rough(space)), tmp_path / f"{name}.html")
     first, again, other = ((tmp_path / f"{name}.html").read_bytes() for name in "abc")
     assert first == again
     assert first != other

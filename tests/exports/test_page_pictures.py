@@ -85,8 +85,8 @@ def test_the_shutter_is_the_mean_of_sharp_instants_in_the_averaging_space(shown)
 def test_a_background_is_blended_in_the_averaging_space(shown):
     model, motions, page = shown
     seen, grey = camera(EYES["front"]), torch.full((3,), 0.5)
-    light = srgb_to_linear(grey) if model.light == "linear" else grey
-    ours, _ = render_avatar(model, motions["own"].poses.at([0]), seen, background=light)
+    shade = srgb_to_linear(grey) if model.averaging_space == "linear" else grey
+    ours, _ = render_avatar(model, motions["own"].poses.at([0]), seen, background=shade)
     theirs = pixels(page, seen, motion="own", seconds=0, background=[0.5] * 3)
     assert psnr(theirs[..., :3], ours[0].numpy(), ...) >= 50
     assert (theirs[..., 3] == 1).all()
