@@ -33,6 +33,7 @@ MOST_INFLUENCES = 8  # joints that move a Gaussian; Anny's vertices blend to 5
 BITS = {"means": 16, "quats": 14, "log_scales": 12, "opacities": 12, "colors": 12, "weights": 14,
     "turns": 16}  # fmt: skip
 FRAMING_POSES = 16  # looked at to find what holds the person throughout
+MOST_LARGER = 1.3  # times the filmed motion that a view is wide at first, for motions that go far
 LONGEST_SHUTTER = 0.1  # seconds that the slider reaches at least
 BEYOND_EXPOSURE = 1.5  # times the filmed exposure that it reaches
 
@@ -126,23 +127,24 @@ def _scene(shown: Shown) -> dict[str, Any]:
     """Where the person is, how large, and who filmed it."""
     observations = shown.run.observations
     camera = observations.camera
-    points = _places(shown)
+    points = _places(shown, shown.motions[0])
     try:
         world_from_stage = stage_rotation(observations.poses, points.mean(0), camera.viewmat)
     except ValueError as error:
         raise ConfigError(f"export: {error}") from None
     on_stage = points @ world_from_stage
-    low, high = on_stage.min(0).values, on_stage.max(0).values
-    middle = (low + high) / 2
+    middle = (on_stage.min(0).values + on_stage.max(0).values) / 2
+    own = _half_size(on_stage - middle)
+    others = [_places(shown, motion) @ world_from_stage - middle for motion in shown.motions[1:]]
+    largest = torch.stack([own, *map(_half_size, others)]).amax(0)
     away = camera_centres(camera.viewmat) @ world_from_stage - middle
-    across = (on_stage - middle)[:, [0, 2]].norm(dim=1).max()
     exposure = observations.exposure or 0.0
     return {
         "world_from_stage": world_from_stage.flatten().tolist(),
         "target": (world_from_stage @ middle).tolist(),
         "distance": float(away.norm()),
         "elevation": float(torch.atan2(away[1], away[[0, 2]].norm())),
-        "half_size": [float(across), float((high - low)[1] / 2)],
+        "half_size": torch.minimum(largest, MOST_LARGER * own).tolist(),
         "camera": {
             "K": camera.K.flatten().tolist(),
             "viewmat": camera.viewmat.flatten().tolist(),
@@ -153,9 +155,14 @@ def _scene(shown: Shown) -> dict[str, Any]:
     }
 
 
-def _places(shown: Shown) -> Float[Tensor, "points 3"]:
-    """Where Gaussians are in some poses of the first motion."""
-    poses = shown.motions[0].poses
+def _half_size(points: Float[Tensor, "points 3"]) -> Float[Tensor, " 2"]:
+    """How far points are from the vertical axis, and above or below the middle."""
+    return torch.stack([points[:, [0, 2]].norm(dim=1).max(), points[:, 1].abs().max()])
+
+
+def _places(shown: Shown, motion: ShownMotion) -> Float[Tensor, "points 3"]:
+    """Where Gaussians are in some poses of a motion."""
+    poses = motion.poses
     step = -(-len(poses.transl) // FRAMING_POSES)
     some = poses.at(slice(None, None, step))
     rotations = axis_angle_to_matrix(some.axis_angle)
