@@ -1,11 +1,13 @@
 """Write a fitted run as a file that other programs open.
 
+page: the avatar in any browser, turned by hand, in its own and other motions (lean).
 ply: the avatar in the pose of one frame, for viewers of 3D Gaussian splats.
 npz: the fitted motion, with the keys of AMASS.
 """
 
 import argparse
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,14 @@ from deblur_avatar.exports.registry import EXPORTERS, ExportParams
 logger = logging.getLogger(__name__)
 
 PARAMS = "params.yaml"
+# Options of formats, and what they are where they are not given; a format has some of them.
+DEFAULTS: dict[str, Any] = {
+    "frame": 0,
+    "motions": ["own", "builtin:jumping_jacks"],
+    "fps": 30.0,
+    "seconds": 10.0,
+    "pictures": 12,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=sorted(EXPORTERS), required=True)
     parser.add_argument("--out", type=Path, required=True, help="the file to write")
     parser.add_argument("--frame", type=int, help="whose pose, counted from 0 (ply; default 0)")
+    parser.add_argument(
+        "--motions", nargs="+", metavar="MOTION", help="own (what was filmed), builtin:<name> or "
+        "files: .bvh, AMASS .npz, AIST++ .pkl (page; default: own builtin:jumping_jacks)",
+    )  # fmt: skip
+    parser.add_argument("--fps", type=float, help="of motions not filmed (page; default 30)")
+    parser.add_argument("--seconds", type=float, help="the most of these (page; default 10)")
+    parser.add_argument("--pictures", type=int, help="filmed frames (page; default 12)")
+    parser.add_argument("--beside", metavar="RUN", help="another run shown beside it (page)")
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -41,13 +59,17 @@ def run(asked: argparse.Namespace) -> int:
         ConfigError: if there is no such run, or the options do not fit the format or the run.
         ArtifactError: if the run was not made yet, or the file cannot be written.
     """
-    options: dict[str, Any] = {"format": asked.format}
-    if asked.frame is not None or "frame" in EXPORTERS[asked.format].__annotations__:
-        options["frame"] = asked.frame or 0
-    exporter = parse(ExportParams, options, "export")
+    given = {name: getattr(asked, name) for name in DEFAULTS}
+    known = EXPORTERS[asked.format].__annotations__
+    options = {name: value for name, value in DEFAULTS.items() if name in known}
+    options |= {name: value for name, value in given.items() if value is not None}
+    exporter = parse(ExportParams, {"format": asked.format, **options}, "export")
     if asked.out.suffix != exporter.suffix:
         raise ConfigError(f"--out {asked.out}: a file of this format ends in {exporter.suffix}")
-    exporter.export(load_run(*find_run(asked.run)), asked.out)
+    fitted = load_run(*find_run(asked.run))
+    if asked.beside is not None:
+        fitted = replace(fitted, beside=load_run(*find_run(asked.beside)))
+    exporter.export(fitted, asked.out)
     logger.info("%s: %.1f MB", asked.out, asked.out.stat().st_size / 1e6)
     return 0
 
@@ -85,6 +107,7 @@ def load_run(folder: Path, name: str) -> FittedRun:
     footage = folder / load_params(folder / PARAMS, "from.footage", str)
     fitted = folder / "data/fusion" / name
     return FittedRun(
+        name=name,
         avatar=Avatar.load(fitted / "avatar"),
         motion=Motion.load(fitted / "motion"),
         observations=Observations.load(footage / "preprocess" / run.scene / run.observations),

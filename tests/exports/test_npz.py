@@ -18,7 +18,7 @@ EXPORTER = parse(ExportParams, {"format": "npz"}, "export")
 
 def run_of(painted, observations, poses) -> FittedRun:
     motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
-    return FittedRun(painted().to_artifact(1), motion, observations)
+    return FittedRun("capsules-lean", painted().to_artifact(1), motion, observations)
 
 
 def test_the_file_drives_a_body_as_the_fit_did(painted, observations, swinging, body, tmp_path):

@@ -23,7 +23,7 @@ SIZE = 96
 
 def run_of(model, observations, poses) -> FittedRun:
     motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
-    return FittedRun(model.to_artifact(1), motion, observations)
+    return FittedRun("capsules-lean", model.to_artifact(1), motion, observations)
 
 
 def read_splats(path):
@@ -116,7 +116,7 @@ def test_what_cannot_be_written_is_refused(painted, observations, swinging, tmp_
     (tmp_path / "file").touch()
     with pytest.raises(ArtifactError, match="cannot write"):
         exporter.export(run, tmp_path / "file" / "a.ply")
-    with pytest.raises(ConfigError, match="no format of this name, there is ply, npz"):
+    with pytest.raises(ConfigError, match="no format of this name, there is page, ply, npz"):
         parse(ExportParams, {"format": "obj"}, "export")
 
 

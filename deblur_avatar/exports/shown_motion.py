@@ -1,0 +1,78 @@
+"""Shown motion: what an exported avatar does, in the world that the person was filmed in.
+
+Conventions. Times are seconds from the motion's first frame, in order, not always evenly spaced.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.animation.motion_files import BUILTIN, read_motion
+from deblur_avatar.animation.placement import place
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.exports.exporter import FittedRun
+
+OWN = "own"  # the motion that was filmed
+
+
+@dataclass(frozen=True)
+class ShownMotion:
+    """Poses over time."""
+
+    name: str  # that a link can hold
+    label: str  # that a person reads
+    times: Float[Tensor, " F"]
+    poses: Poses
+
+
+def shown_motions(
+    run: FittedRun, names: Sequence[str], fps: float, seconds: float
+) -> list[ShownMotion]:
+    """The motions of these names, in their order.
+
+    Args:
+        run: whose avatar is to move.
+        names: `own`, `builtin:<name>` or files (`animation/motion_files.py`).
+        fps: frames a second of what was not filmed.
+        seconds: longest duration of what was not filmed.
+
+    Raises:
+        ConfigError: if there is no such motion, a name is there twice, or the person cannot be
+            placed.
+        ArtifactError: if a file is damaged.
+    """
+    if not names or len(set(names)) != len(names):
+        raise ConfigError(f"export: motions must be named, each once, got {list(names)}")
+    return [
+        filmed_motion(run) if name == OWN else _driven(run, name, fps, seconds) for name in names
+    ]
+
+
+def filmed_motion(run: FittedRun) -> ShownMotion:
+    """The fitted motion at the middle of every exposure."""
+    times = run.motion.timestamps.double()
+    poses = dataclasses.replace(run.motion.centre, betas=run.avatar.betas)
+    return ShownMotion(OWN, "As filmed", (times - times[0]).float(), poses)
+
+
+def _driven(run: FittedRun, name: str, fps: float, seconds: float) -> ShownMotion:
+    observations = run.observations
+    filmed = dataclasses.replace(observations.poses, betas=run.avatar.betas)
+    motion = read_motion(
+        name, observations.body, run.avatar.betas, fps=fps, start=0.0, seconds=seconds
+    )
+    viewmat = observations.cameras.viewmats[observations.train_camera]
+    try:
+        poses = place(motion, observations.body, filmed, viewmat, turns=0.0, travel=1.0)
+    except ValueError as error:
+        raise ConfigError(f"export: {name}: {error}") from None
+    known = name.removeprefix(BUILTIN) if name.startswith(BUILTIN) else Path(name).stem
+    label = known.replace("_", " ").capitalize()
+    times = torch.arange(len(poses.transl)) / motion.fps
+    return ShownMotion(known, label, times, poses)
