@@ -37,11 +37,11 @@ class TruthView:
     camera: int
     position: int  # in the observations
     novel_pose: bool  # the instant was kept from training
-    viewmat: Float[Tensor, "4 4"] | None  # relative to the true motion; None: as the camera stands
-    offset: float  # seconds from the middle of the frame's exposure
     image: UInt8[Tensor, "H W 3"]
     foreground: Bool[Tensor, "H W"]
     seen: Bool[Tensor, "H W"]
+    viewmat: Float[Tensor, "4 4"] | None = None  # relative to the true motion; None: the camera's
+    offset: float = 0.0  # seconds from the middle of the frame's exposure
 
 
 def truth_views(observations: Observations, reference: Reference) -> list[TruthView]:

@@ -9,7 +9,7 @@ stay null here, so that evaluating one method never waits for another, and `repo
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -37,7 +37,7 @@ from deblur_avatar.evaluation.estimated_steps import estimated_steps
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import nothing_recovered
-from deblur_avatar.evaluation.truth_views import truth_views
+from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 logger = logging.getLogger(__name__)
 
@@ -103,13 +103,33 @@ def evaluate(
         "model": _size(avatar, motion, observations.train),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
-    if reference.motion is None and novel_views:
-        content |= _of_real_cameras(observations, motion, novel_views)
     steps = estimated_steps(observations, reference, motion, true)
     if steps is not None:
         content["steps"] = steps
+        content["in_true_poses"] = _in_true_poses(model, observations, reference, true, views)
+    if reference.motion is None and novel_views:
+        content |= _of_real_cameras(observations, motion, novel_views)
     fps = _render_fps(model, observations, motion)
     return Evaluation(content, comparisons, fps, as_computed(model.precision, device))
+
+
+def _in_true_poses(
+    model: AvatarModel,
+    observations: Observations,
+    reference: Reference,
+    true: Poses | None,
+    views: Sequence[TruthView],
+) -> dict[str, float | None] | None:
+    """What is left of the errors of pictures where the avatar takes the true poses: its own."""
+    if true is None:
+        return None
+    posed_alike = replace(true, betas=model.betas.cpu())
+    return mean_scores(
+        [
+            compare(model, observations, reference, view, posed_alike.at([view.position]))
+            for view in run.progress(views, "test views in true poses")
+        ]
+    )
 
 
 def _of_real_cameras(

@@ -95,9 +95,9 @@ def light_drift(frames: UInt8[Tensor, "F H W 3"]) -> Float[np.ndarray, " 3"]:
     stops = np.zeros((len(small), 3))
     for index in range(1, len(small)):
         pair = np.stack([small[index - 1], small[index]])
-        clear = ((pair > DARK) & (pair < BRIGHT)).all(0)
         for channel in range(3):
-            before, after = pair[:, clear[..., channel], channel]
+            codes = pair[..., channel].reshape(2, -1)
+            before, after = codes[:, ((codes > DARK) & (codes < BRIGHT)).all(0)]
             change = np.median(np.log2(after / before)) * GAMMA if len(before) else 0.0
             stops[index, channel] = stops[index - 1, channel] + change
     return np.asarray(np.ptp(stops, axis=0))
