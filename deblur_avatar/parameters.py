@@ -53,7 +53,7 @@ class MethodParams(Params):
 METRICS_OF_STAGES = frozenset(
     {
         "blur", "check", "cost", "fusion", "predeblur", "preprocess", "score_blur",
-        "score_predeblur", "learning_curve", "trajectory", "warmup",
+        "score_predeblur", "self_check", "learning_curve", "trajectory", "warmup",
     }
 )  # fmt: skip
 
@@ -115,9 +115,10 @@ def _check_runs(content: Mapping[str, Any], path: Path) -> None:
         warmup = f"{entry['scene']}-{entry['observations']}-{entry['avatar']}"
         if warmup not in content["warmups"]:
             raise ConfigError(f"{path}: runs.{name} goes on from {warmup}, add it to warmups")
-    for name, entry in section_of(content, path, "learning_curves", dict).items():
-        if content["runs"].get(name) != entry:
-            raise ConfigError(f"{path}: learning_curves.{name} is not as in runs")
+    for section in ("learning_curves", "self_checks"):
+        for name, entry in section_of(content, path, section, dict).items():
+            if content["runs"].get(name) != entry:
+                raise ConfigError(f"{path}: {section}.{name} is not as in runs")
     for name, entry in content["animations"].items():
         if content["runs"].get(name, {}).get("scene") != entry["scene"]:
             raise ConfigError(f"{path}: animations.{name}: no run {name!r} on {entry['scene']!r}")

@@ -5,12 +5,12 @@ from pathlib import Path
 from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.evaluation.findings import tell
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.check import (
     CheckParams,
     check_scene,
     refuse_failed,
-    tell,
 )
 from deblur_avatar.reporting.check_pictures import check_page, draw_check
 

@@ -212,6 +212,31 @@ def _all_black(clip: BlurryClip, amount: float, generator: torch.Generator) -> B
     return dataclasses.replace(clip, mattes=torch.zeros_like(clip.mattes))
 
 
+# --- pictures: what is in them beside the person -------------------------------------------------
+
+
+def _surroundings(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
+    """A room of this brightness stands behind the person, and nothing takes it away."""
+    assert clip.mattes is not None
+    cells = torch.rand(3, 12, 12, generator=generator) * amount
+    room = torch.nn.functional.interpolate(cells[None], clip.frames.shape[2:4], mode="bilinear")[0]
+    clear = 1 - clip.mattes.float()[..., None] / 255
+    mixed = clip.frames.float() + clear * 255 * room.permute(1, 2, 0)
+    return dataclasses.replace(clip, frames=mixed.round().clamp(0, 255).to(torch.uint8))
+
+
+def _neighbour(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
+    """Somebody stands this many pixels to the right, alike, and inside the masks."""
+    assert clip.mattes is not None
+    frames, mattes = (torch.roll(part, int(amount), 3) for part in (clip.frames, clip.mattes))
+    behind = clip.mattes[..., None] == 0
+    return dataclasses.replace(
+        clip,
+        frames=torch.where(behind, frames, clip.frames),
+        mattes=torch.maximum(mattes, clip.mattes),
+    )
+
+
 # --- light: stops, shares, codes -----------------------------------------------------------------
 
 
@@ -264,6 +289,14 @@ def _camera(field: str, index: tuple[int, ...], value: Callable[[float], float])
     return damage
 
 
+def _focal(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
+    """The focal length is said to be so many times what it is."""
+    Ks = clip.cameras.Ks.clone()
+    Ks[:, 0, 0] *= amount
+    Ks[:, 1, 1] *= amount
+    return dataclasses.replace(clip, cameras=dataclasses.replace(clip.cameras, Ks=Ks))
+
+
 def _mirrored(clip: BlurryClip, amount: float, generator: torch.Generator) -> BlurryClip:
     """A left-handed camera: its rotation's determinant is -1."""
     viewmats = clip.cameras.viewmats.clone()
@@ -301,11 +334,14 @@ DAMAGES: dict[str, Damage] = {
     "masks_above": _masks(_above),
     "masks_black": _masks(_black),
     "masks_all_black": _all_black,
+    "surroundings": _surroundings,
+    "neighbour_px": _neighbour,
     "gain_ramp_stops": _ramp,
     "flicker_share": _flicker,
     "clipped_at": _clipped,
     "averaged_linear": _averaged,
     "declared_linear": _declared,
+    "focal_times": _focal,
     "zero_focal": _camera("Ks", (0, 0), lambda _: 0.0),
     "nan_camera": _camera("viewmats", (0, 0), lambda _: math.nan),
     "mirrored_camera": _mirrored,

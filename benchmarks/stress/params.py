@@ -43,3 +43,16 @@ class ModeParams(Params):
 
     title: str
     severities: Annotated[dict[str, SeverityParams], Field(min_length=1)]
+
+
+class SelfCheckParams(Params):
+    """Cases of the self-check's confusion table.
+
+    `tuning` and `report` name scenes; every method is fitted to each. `damages` are names of
+    `damage.py` or of `self_check_cases.py` with amounts that ruin an avatar.
+    """
+
+    methods: Annotated[tuple[str, ...], Field(min_length=1)]
+    tuning: Annotated[tuple[str, ...], Field(min_length=1)]
+    report: Annotated[tuple[str, ...], Field(min_length=1)]
+    damages: Annotated[dict[str, float], Field(min_length=1)]

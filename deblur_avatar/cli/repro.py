@@ -47,7 +47,11 @@ def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
     scenes = dict.fromkeys(runs[name]["scene"] for name in kept)
     return [
         *(f"check@{scene}" for scene in scenes),
-        *(f"{stage}@{name}" for name in kept for stage in ("evaluate", "learning_curve")),
+        *(
+            f"{stage}@{name}"
+            for name in kept
+            for stage in ("self_check", "evaluate", "learning_curve")
+        ),
         *(f"animate@{name}" for name in animated if name in kept),
     ]
 

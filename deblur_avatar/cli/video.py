@@ -22,6 +22,7 @@ from deblur_avatar.config.reading import (
     section_of,
 )
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.evaluation.findings import failures, read_findings
 from deblur_avatar.parameters import check_parameters
 from deblur_avatar.pipeline.code import PIPELINE
 from deblur_avatar.sources.footage import read_footage
@@ -31,7 +32,12 @@ logger = logging.getLogger(__name__)
 AVATARS, PARAMS, UP = Path("avatars"), "params.yaml", "../.."
 BODY = "anny"
 DEFAULT_AVATAR = "paper"
-ADDED_TO = ("warmups", "runs", "animations")  # sections that each method asked for grows
+ADDED_TO = (
+    "warmups",
+    "runs",
+    "self_checks",
+    "animations",
+)  # sections that each method asked for grows
 HEADER = """\
 # One person's video. Change what you know better, then run the same command again; every key of
 # `clip` is explained in docs/your-own-footage.md. What is not here is the root's params.yaml.
@@ -92,7 +98,8 @@ def targets(folder: Path, method: str) -> list[str]:
     name, pipeline = folder.name, f"{folder}/{PIPELINE}"
     run = f"{name}-{method}"
     return [
-        f"{pipeline}:{stage}" for stage in (f"check@{name}", f"animate@{run}", f"evaluate@{run}")
+        f"{pipeline}:{stage}"
+        for stage in (f"check@{name}", f"self_check@{run}", f"animate@{run}", f"evaluate@{run}")
     ]
 
 
@@ -119,8 +126,22 @@ def run(asked: argparse.Namespace) -> int:
     logger.info("The check:    %s/data/check/%s/index.html", folder, folder.name)
     logger.info("The avatar:   %s/data/fusion/%s/avatar", folder, run)
     logger.info("All round:    %s/data/animate/%s/video.mp4 and contact_sheet.png", folder, run)
+    logger.info("The self-check: %s/data/self_check/%s/index.html", folder, run)
     logger.info("The report:   %s/reports/index.html", folder)
+    _tell_verdict(folder / "metrics/self_check" / f"{run}.json")
     return 0
+
+
+def _tell_verdict(path: Path) -> None:
+    """The self-check's verdict in a sentence, last, so that nobody misses it."""
+    content = read_findings(path)
+    failed = failures(content)
+    for sentence in failed:
+        logger.warning("FAILED: %s", sentence)
+    if failed:
+        logger.warning("The avatar FAILS its self-check: do not trust what it shows.")
+    else:
+        logger.info("The avatar passes its self-check (%s).", content["verdict"])
 
 
 def _new(name: str, video: Path) -> dict[str, Any]:
@@ -162,6 +183,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "scenes": {name: scene},
         "warmups": {},
         "runs": {},
+        "self_checks": {},
         "animations": {},
     }
 
@@ -170,6 +192,7 @@ def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
     """What is in an avatar's file, once it is of this video and can be added to."""
     content: dict[str, Any] = read_yaml(path)
     known = section_of(content, path, f"scenes.{name}.clip.path", str)
+    content.setdefault("self_checks", {})  # older files have none
     for section in ADDED_TO:
         section_of(content, path, section, dict)
     if not _same_file(known, video):
@@ -198,7 +221,7 @@ def _with_method(content: dict[str, Any], name: str, method: str, avatar: str) -
         "travel": 0.0,
         "margin": 0.06,
     }
-    run = f"{name}-{method}"
+    run, trained = f"{name}-{method}", warmup | {"method": method}
     return (
         {
             "bodies": {},
@@ -210,7 +233,8 @@ def _with_method(content: dict[str, Any], name: str, method: str, avatar: str) -
         | content
         | {
             "warmups": {f"{name}-blurred-{avatar}": warmup} | content["warmups"],
-            "runs": {run: warmup | {"method": method}} | content["runs"],
+            "runs": {run: trained} | content["runs"],
+            "self_checks": {run: trained} | content["self_checks"],
             "animations": {run: animation} | content["animations"],
         }
     )

@@ -23,6 +23,7 @@ class Comparison:
 
     view: TruthView
     render: UInt8[Tensor, "H W 3"]
+    alpha: Float[Tensor, "H W"]  # the avatar's coverage
     difference: Float[Tensor, "H W"]  # FLIP
     scores: dict[str, float]
 
@@ -40,7 +41,7 @@ def compare(
     that was (as 3DGS-Avatar does).
     """
     trained = view.position in observations.train
-    image, _ = render_avatar(
+    image, alpha = render_avatar(
         model,
         poses.at([view.position]),
         observations.cameras.camera(view.camera),
@@ -56,6 +57,7 @@ def compare(
     return Comparison(
         view=view,
         render=(pair.render[0].clamp(0, 1) * 255).round().to(torch.uint8),
+        alpha=alpha[0].cpu(),
         difference=pair.flip_map[0],
         scores={name: float(values) for name, values in scores(pair).items()},
     )

@@ -49,19 +49,27 @@ def mean_reblur_psnr(
     """PSNR of averaged renders against the frames at some positions, dB; None for no position."""
 
     def score(position: int) -> float:
-        nearest = min(observations.train, key=lambda index: abs(index - position))
-        image, _ = render_avatar(
-            model,
-            poses_of_exposure(observations.body, motion, position, observations.train),
-            observations.camera,
-            frame=nearest,
-            average=True,
-        )
+        image, _ = reblurred(model, observations, motion, position)
         frame = observations.frames[position].float() / 255
-        pair = [observations.comparable_part(p, position) for p in (image[0].cpu(), frame)]
+        pair = [observations.comparable_part(p, position) for p in (image, frame)]
         return float(psnr(pair[0][None], pair[1][None]))
 
     return sum(map(score, positions)) / len(positions) if positions else None
+
+
+def reblurred(
+    model: AvatarModel, observations: Observations, motion: Motion, position: int
+) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
+    """The averaged render of one exposure, sRGB in [0, 1], and its coverage."""
+    nearest = min(observations.train, key=lambda index: abs(index - position))
+    image, alpha = render_avatar(
+        model,
+        poses_of_exposure(observations.body, motion, position, observations.train),
+        observations.camera,
+        frame=nearest,
+        average=True,
+    )
+    return image[0].cpu(), alpha[0].cpu()
 
 
 def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence[int]) -> Poses:

@@ -1,14 +1,12 @@
 """The self-check of a scene: whether it is fit for training, before an hour is spent on it.
 
-Each finding is one number with a verdict (`ok`, `warn`, `fail`, or `unknown` where it could not be
-measured) and, unless all is well, a sentence of what to do. Pixels are those of the observations;
-shares of the person's height are independent of how large the pictures are.
+Each finding is one number with a verdict and, unless all is well, a sentence of what to do. Pixels
+are those of the observations; shares of the person's height are independent of how large the
+pictures are.
 """
 
-import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
@@ -16,6 +14,7 @@ from deblur_avatar.config.section import (
     Params,
 )
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.findings import Scale, judged, worst
 from deblur_avatar.evaluation.scene_measures import (
     background_light,
     blur_extent,
@@ -36,79 +35,57 @@ class CheckParams(Params):
     on_failure: Literal["warn", "stop"]
 
 
-logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One number, what it means and what to do about it."""
-
-    value: float | None
-    unit: str
-    verdict: str
-    advice: str
-
-
-class _Scale(NamedTuple):
-    """Up to which values a finding is ok, and from which it fails; a fall is worse if ok > fail."""
-
-    ok: float
-    fail: float | None  # None: never worse than a warning
-    unit: str
-    advice: str
-
-
 _SCALES = {
-    "training_frames": _Scale(30, 8, "frames", "Film longer, or lower clip.stride."),
-    "person_share": _Scale(
+    "training_frames": Scale(30, 8, "frames", "Film longer, or lower clip.stride."),
+    "person_share": Scale(
         0.95, 0.5, "share of frames",
         "Choose clip.frames so that the person is in all of them, or bring masks.",
     ),
-    "trusted_share": _Scale(
+    "trusted_share": Scale(
         0.85, 0.5, "share of landmarks",
         "Many landmarks jump or are lost: bring keypoints of a better detector, or poses.",
     ),
-    "person_height_px": _Scale(
+    "person_height_px": Scale(
         100, 48, "px",
         "The person is small: crop the footage, come closer, or take a larger schedule.",
     ),
-    "reprojection_share": _Scale(
+    "reprojection_share": Scale(
         0.02, 0.06, "share of the person's height",
         "The body does not lie on the landmarks: check focal length, calibration and keypoints.",
     ),
-    "mask_body_iou": _Scale(
+    "mask_body_iou": Scale(
         0.75, 0.5, "IoU",
         "Body and mask differ: look at check.png. Wide clothes do no harm; a mask of another "
         "person or with objects in it does, and so does a wrong focal length.",
     ),
-    "background_light": _Scale(
+    "background_light": Scale(
         2.0, 12.0, "of 255",
         "Frames show a background that nothing takes away, and the avatar would be made of it: set "
         "preprocess.background to auto.",
     ),
-    "comparable_share": _Scale(
+    "comparable_share": Scale(
         0.7, 0.35, "share of the person",
         "The background is unknown where the person ends, and colours there are not compared: film "
         "with a camera that stands still, or bring masks with exact edges.",
     ),
-    "cut_off_share": _Scale(
+    "cut_off_share": Scale(
         0.05, 0.5, "share of frames",
         "The person leaves the picture: what is cut off is not modelled. Choose other frames.",
     ),
-    "view_coverage_degrees": _Scale(
+    "view_coverage_degrees": Scale(
         240, None, "degrees",
         "The camera never sees the rest of the body, which will be made up: let the person turn.",
     ),
-    "blur_share": _Scale(
+    "blur_share": Scale(
         0.15, 0.45, "share of the person's height",
         "The fastest part is smeared over much of the person: check the exposure, or film with a "
         "shorter one.",
     ),
-    "saturated_share": _Scale(
+    "saturated_share": Scale(
         0.03, 0.3, "share of the person's pixels",
         "Blown highlights do not average as light does: film darker, or choose other frames.",
     ),
-    "speed_ratio": _Scale(
+    "speed_ratio": Scale(
         3.0, 8.0, "times its neighbours",
         "The estimated pose jumps: look at the frames named in metrics/preprocess, bring poses.",
     ),
@@ -146,43 +123,13 @@ def check_scene(observations: Observations, fit: Mapping[str, Any]) -> dict[str,
         "saturated_share": saturated_share(observations),
         "speed_ratio": (fit.get("track") or {}).get("speed_ratio"),
     }
-    findings = {name: judged(name, value) for name, value in values.items()}
+    findings = {name: judged(_SCALES[name], value) for name, value in values.items()}
     return {
-        "verdict": worst([finding.verdict for finding in findings.values()]),
+        "verdict": worst(finding.verdict for finding in findings.values()),
         "findings": {name: vars(finding) for name, finding in findings.items()},
         "blur_px": blur,
         "azimuths": [round(float(angle), 1) for angle in azimuths],
     }
-
-
-def judged(name: str, value: float | None) -> Finding:
-    """Give a number its verdict and advice."""
-    scale = _SCALES[name]
-    if value is None:
-        return Finding(None, scale.unit, "unknown", "")
-    rising = scale.fail is not None and scale.fail > scale.ok
-    falls = not rising
-    good = value >= scale.ok if falls else value <= scale.ok
-    if good:
-        return Finding(value, scale.unit, "ok", "")
-    bad = scale.fail is not None and (value < scale.fail if falls else value > scale.fail)
-    return Finding(value, scale.unit, "fail" if bad else "warn", scale.advice)
-
-
-def worst(verdicts: list[str]) -> str:
-    """`fail` before `warn` before `ok`."""
-    return next((verdict for verdict in ("fail", "warn") if verdict in verdicts), "ok")
-
-
-def tell(scene: str, content: Mapping[str, Any]) -> None:
-    """Log the findings, loudly where they are bad."""
-    for name, finding in content["findings"].items():
-        if finding["verdict"] in ("warn", "fail"):
-            logger.warning(
-                "%s %s: %s %.3g %s. %s", finding["verdict"].upper(), scene, name.replace("_", " "),
-                finding["value"], finding["unit"], finding["advice"],
-            )  # fmt: skip
-    logger.info("check %s: %s", scene, content["verdict"])
 
 
 def refuse_failed(scene: str, content: Mapping[str, Any], params: CheckParams) -> None:

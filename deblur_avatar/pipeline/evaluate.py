@@ -24,6 +24,8 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.evaluation.avatar_measures import silhouette_distance
+from deblur_avatar.evaluation.color_alignment import color_aligned
 from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
@@ -88,6 +90,8 @@ def evaluate(
         "model": _size(avatar, motion, observations.train),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
+    if reference.motion is None and novel_views:
+        content |= _of_real_cameras(observations, motion, novel_views)
     fps = _render_fps(model, observations, motion)
     return Evaluation(content, comparisons, fps, as_computed(model.precision, device))
 
@@ -98,6 +102,30 @@ def _true_poses(observations: Observations, reference: Reference) -> Poses | Non
         return None
     distance = reference.motion_times[None] - observations.timestamps[:, None]
     return reference.motion.at(distance.abs().argmin(1))
+
+
+def _of_real_cameras(
+    observations: Observations, motion: Motion, comparisons: Sequence[Comparison]
+) -> dict[str, Any]:
+    """What only filmed scenes need: colours aligned camera by camera, and how the body lies there.
+
+    A studio's cameras see the same colours, and its body is compared with the true one.
+    """
+    names = observations.cameras.names
+    aligned = color_aligned(comparisons)
+    ious: dict[str, list[float]] = {}
+    for view in (comparison.view for comparison in comparisons):
+        camera = observations.cameras.camera(view.camera)
+        poses = motion.centre.at([view.position])
+        body = silhouette_distance(observations.body, poses, camera) == 0
+        person = view.foreground.numpy()
+        ious.setdefault(names[view.camera], []).append(
+            (body & person).sum() / (body | person).sum()
+        )
+    return {
+        "color_aligned": {"image": mean_scores(aligned), "cameras": _by_camera(aligned, names)},
+        "body_iou": {name: float(sum(values) / len(values)) for name, values in ious.items()},
+    }
 
 
 def _by_camera(

@@ -17,6 +17,7 @@ from deblur_avatar import run
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.costs import read_costs, with_seconds
+from deblur_avatar.evaluation.findings import failures, read_findings
 from deblur_avatar.evaluation.recovery import (
     compared,
     pooled,
@@ -75,10 +76,12 @@ class Report:
     tables: str  # Markdown
     charts: dict[str, bytes]  # files by name
     strip: Picture | None  # for the README
+    self_check: dict[str, Any]  # the self-check's confusion table; empty if nobody made it
     log: str  # for a terminal
 
     def save(self, folder: Path) -> None:
-        """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png` and the charts.
+        """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png`, the charts,
+        and `self_check.json` where there is one.
 
         A chart is its rows (`.json`, for `dvc plots show`) and its picture (`.svg`, `.png`);
         without rows it is an empty list alone.
@@ -91,6 +94,8 @@ class Report:
             run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
         run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
+        if self.self_check:
+            run.write_json(folder / "self_check.json", self.self_check)
         if self.strip is not None:
             write_picture(folder / "strip.png", self.strip)
 
@@ -105,7 +110,7 @@ def make_report(
         runs: by name, `<scene>-<method>`; those without results are left out.
         animated: names of those that were animated.
         metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
-            `learning_curve/<run>.json`, `cost/<stage>/<item>.json`.
+            `learning_curve/<run>.json`, `self_check/<run>.json`, `cost/<stage>/<item>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
 
@@ -121,13 +126,13 @@ def make_report(
     strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
     charts = chart_files("speed_accuracy", rows_of_methods(scenes))
     charts |= chart_files("quality_over_time", rows_over_time(curves))
-    main = {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     repeated = _repeated(scenes)
-    if repeated is not None:
-        main = {repeated.title: repeated} | main
+    main = {} if repeated is None else {repeated.title: repeated}
+    main |= {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
     page = render_page(
         TEMPLATE,
         headline=_headline(scenes),
+        failed=_failed_self_checks(metrics, runs),
         machine=_machine(scenes),
         charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
         quiet=(NOT_MEASURED, NOT_KNOWN),
@@ -153,6 +158,7 @@ def make_report(
         tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
         charts=charts,
         strip=_readme_strip(strips),
+        self_check=_read(metrics / "self_check" / "cases.json"),
         log=_log(main),
     )
 
@@ -226,6 +232,13 @@ def read_learning_curves(metrics: Path, runs: Mapping[str, RunParams]) -> dict[s
 
 def _is_moment(point: Any) -> bool:
     return isinstance(point, dict) and point.keys() >= MOMENT
+
+
+def _failed_self_checks(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, list[str]]:
+    """What avatars found wrong with themselves, by run."""
+    paths = {name: metrics / "self_check" / f"{name}.json" for name in sorted(runs)}
+    told = {n: failures(read_findings(path)) for n, path in paths.items() if path.exists()}
+    return {name: sentences for name, sentences in told.items() if sentences}
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -25,8 +25,8 @@ from deblur_avatar.evaluation.scene_measures import (
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.contact_sheets import contact_sheet
+from deblur_avatar.reporting.findings_table import findings_table
 from deblur_avatar.reporting.page import picture_uri, render_page
-from deblur_avatar.reporting.results_table import NOT_MEASURED, Cell, Column, Table
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 
@@ -52,21 +52,9 @@ def draw_check(observations: Observations) -> Picture:
 
 def check_page(scene: str, content: Mapping[str, Any], sheet: Picture) -> str:
     """The findings and the sheet on one page that loads nothing."""
-    findings: Mapping[str, Any] = content["findings"]
-    table = Table(
-        columns=(Column((), ""), Column((), "verdict", kind="text"),
-                 Column((), "what to do", kind="text")),
-        rows=tuple((name.replace("_", " "), _finding(f)) for name, f in findings.items()),
-        of="finding",
-    )  # fmt: skip
+    findings = findings_table(content["findings"])
     sheet_uri = picture_uri(sheet)
-    return render_page(TEMPLATE, scene=scene, check=content, findings=table, sheet=sheet_uri)
-
-
-def _finding(finding: Mapping[str, Any]) -> tuple[Cell, ...]:
-    value, verdict = finding["value"], finding["verdict"]
-    text = NOT_MEASURED if value is None else f"{value:.3g} {finding['unit']}"
-    return Cell(text), Cell(verdict, kind=f"text {verdict}"), Cell(finding["advice"], kind="text")
+    return render_page(TEMPLATE, scene=scene, check=content, findings=findings, sheet=sheet_uri)
 
 
 def _overlay(observations: Observations, position: int) -> Picture:

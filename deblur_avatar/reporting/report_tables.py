@@ -76,6 +76,15 @@ def tables_of(
                 note="In italics besides: the poses that every method starts from.",
             )
         )
+    aligned = measured(results, _aligned_columns(results))
+    if aligned:
+        note = (
+            "One affine map of colours for each camera and method, fitted to the person's pixels "
+            "of that camera, since cameras differ; PSNR of the seen surface. Body: how far body "
+            "and person overlap in each view (IoU)."
+        )
+        title = "Camera by camera, colours aligned"
+        tables.append(results_table(results, aligned, title=title, note=note))
     cost = measured(results, COST)
     if cost:
         note = "Training counts the warm-up in full, though methods may share it."
@@ -160,6 +169,24 @@ def _camera_columns(results: Mapping[str, Mapping[str, Any]]) -> list[Column]:
         for name in names
         for column, label in zip(image_columns("", list(labels)), labels.values(), strict=True)
     ]
+
+
+def _aligned_columns(results: Mapping[str, Mapping[str, Any]]) -> list[Column]:
+    """PSNR of the seen surface before and after alignment, and the body's overlap, by camera."""
+    names = dict.fromkeys(name for r in results.values() for name in r.get("body_iou") or {})
+    columns: list[Column] = []
+    for name in names:
+        raw, *_ = image_columns("", ["psnr_seen"])
+        columns += [
+            replace(raw, path=("cameras", name, "psnr_seen"), label=f"{name} seen"),
+            replace(
+                raw,
+                path=("color_aligned", "cameras", name, "psnr_seen"),
+                label=f"{name} seen, aligned",
+            ),
+            Column(("body_iou", name), f"{name} body", "IoU", 2, 1),
+        ]
+    return columns
 
 
 def _with_start(results: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:

@@ -41,7 +41,8 @@ class MultiviewParams(Params):
     """Video files of several calibrated cameras.
 
     `root` may hold `$(VARIABLE:-default)`. `frame_offsets` are added to each camera's frame
-    numbers.
+    numbers. Of all cameras but the training camera and the `pose_cameras`, sharp test views alone
+    leave the source: no pixel of a camera that is scored enters poses, colours or training.
     """
 
     source: Literal["multiview"]
@@ -53,6 +54,7 @@ class MultiviewParams(Params):
     frames: tuple[int, int]  # first, one past last
     image_height: Count  # frames are scaled to this height
     train_camera: Annotated[int, Field(ge=0)]
+    pose_cameras: tuple[Annotated[int, Field(ge=0)], ...]  # recorded too, for estimated poses
     test_stride: Count
     held_out: Fraction
 
@@ -100,12 +102,13 @@ def load_multiview(params: MultiviewParams, segment: Segment) -> tuple[Clip, Ref
         _check_size(video, cameras, index, root / name)
         videos.append(video)
     cameras = _scaled(cameras, videos, params.principal_point_shifts)
+    recorded = (params.train_camera, *params.pose_cameras)
     frames = _padded(videos)
     count = stop - first
     clip = Clip(
-        frames=frames,
+        frames=frames[list(recorded)],
         mattes=None,
-        recorded=tuple(range(len(videos))),
+        recorded=recorded,
         train_camera=params.train_camera,
         cameras=cameras,
         timestamps=videos[params.train_camera].timestamps.float(),
@@ -121,7 +124,8 @@ def load_multiview(params: MultiviewParams, segment: Segment) -> tuple[Clip, Ref
         frame_indices=None,
         true_blur_exposure=None,
     )
-    return clip, _reference(clip, params.test_stride, segment)
+    tested = {camera: frames[camera] for camera in range(len(videos)) if camera not in recorded}
+    return clip, _reference(clip, tested, params.test_stride, segment)
 
 
 def _check(params: MultiviewParams) -> None:
@@ -131,8 +135,19 @@ def _check(params: MultiviewParams) -> None:
             raise ConfigError(f"clip.{key} must have one entry for each of {count} videos")
     if params.train_camera >= count:
         raise ConfigError(f"clip.train_camera: {params.train_camera} of {count}, counted from 0")
-    if count < 2:
-        raise ConfigError("clip.videos: test views need a second camera")
+    for camera in params.pose_cameras:
+        if camera >= count:
+            raise ConfigError(f"clip.pose_cameras: {camera} of {count}, counted from 0")
+    used = {params.train_camera, *params.pose_cameras}
+    if len(used) <= len(params.pose_cameras):
+        raise ConfigError(
+            f"clip.pose_cameras: {params.pose_cameras} name a camera twice, or the training camera "
+            f"{params.train_camera}, which is recorded anyway"
+        )
+    if len(used) == count:
+        raise ConfigError(
+            "clip.videos: test views need a camera beside the training camera and clip.pose_cameras"
+        )
     first, stop = params.frames
     if first + min(params.frame_offsets) < 0 or stop - first < 2:
         raise ConfigError(f"clip.frames: {first} to {stop} leave the videos or are under two")
@@ -182,16 +197,16 @@ def _padded(videos: list[Video]) -> UInt8[Tensor, "R F H W 3"]:
     return frames
 
 
-def _reference(clip: Clip, stride: int, segment: Segment) -> Reference:
-    """Straight sharp views of every camera but the training one, the person on black."""
+def _reference(
+    clip: Clip, tested: dict[int, UInt8[Tensor, "F H W 3"]], stride: int, segment: Segment
+) -> Reference:
+    """Straight sharp views of the cameras that are not recorded, the person on black."""
     count = len(clip.timestamps)
     chosen = torch.arange(stride // 2, count, stride)
     images, mattes, cameras = [], [], []
-    for row, camera in enumerate(clip.recorded):
-        if camera == clip.train_camera:
-            continue
+    for camera, filmed in tested.items():
         lens = clip.cameras.Ks[camera], clip.cameras.distortion[camera]
-        frames = undistort(clip.frames[row], *lens)
+        frames = undistort(filmed, *lens)
         found = segment(frames)
         plates = [background_plate(frames, found)] * len(chosen)
         trimmed = trim_mattes(frames[chosen], found[chosen], plates)

@@ -19,7 +19,12 @@ def folder(tiny_content, tmp_path, monkeypatch):
     monkeypatch.setattr(running_dvc, "refresh", lambda root: [])
     (tmp_path / "dvc.yaml").touch()
     (tmp_path / "stages").mkdir()
-    tiny_content["scenes"]["courtyard"]["clip"]["root"] = "${POSE2SIM_ROOT:-footage}"
+    del tiny_content["scenes"]["courtyard_two"]
+    tiny_content["checks"].remove("courtyard_two")
+    for section in ("warmups", "runs", "learning_curves", "self_checks"):
+        entries = tiny_content[section].items()
+        tiny_content[section] = {k: v for k, v in entries if v["scene"] != "courtyard_two"}
+    tiny_content["scenes"]["courtyard_mono"]["clip"]["root"] = "${POSE2SIM_ROOT:-footage}"
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
     return tmp_path
@@ -27,11 +32,13 @@ def folder(tiny_content, tmp_path, monkeypatch):
 
 def test_footage_is_missing_where_its_folder_is(folder, monkeypatch):
     missing = repro.missing_footage(folder / "params.yaml")
-    assert missing == {"courtyard": "no folder footage (scenes.courtyard.clip.root)"}
+    assert missing == {"courtyard_mono": "no folder footage (scenes.courtyard_mono.clip.root)"}
     (folder / "footage").mkdir()
     assert repro.missing_footage(folder / "params.yaml") == {}
     monkeypatch.setenv("POSE2SIM_ROOT", str(folder / "elsewhere"))
-    assert str(folder / "elsewhere") in repro.missing_footage(folder / "params.yaml")["courtyard"]
+    assert (
+        str(folder / "elsewhere") in repro.missing_footage(folder / "params.yaml")["courtyard_mono"]
+    )
 
 
 def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
@@ -41,11 +48,11 @@ def test_a_video_is_missing_where_its_file_is(folder, tiny_content):
         "shutter": 0.5, "averaging_space": "linear", "held_out": 0.0, "keypoints": None,
         "masks": None, "poses": None,
     }  # fmt: skip
-    tiny_content["scenes"]["courtyard"]["clip"] = clip
+    tiny_content["scenes"]["courtyard_mono"]["clip"] = clip
     with (folder / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
-    reason = "no video and no folder mine.mp4 (scenes.courtyard.clip.path)"
-    assert repro.missing_footage(folder / "params.yaml") == {"courtyard": reason}
+    reason = "no video and no folder mine.mp4 (scenes.courtyard_mono.clip.path)"
+    assert repro.missing_footage(folder / "params.yaml") == {"courtyard_mono": reason}
     (folder / "mine.mp4").touch()
     assert repro.missing_footage(folder / "params.yaml") == {}
 
@@ -60,19 +67,19 @@ def test_a_scene_of_a_data_set_lacks_its_folder_its_body_or_both(folder, tiny_co
         "test_stride": 30, "pose_cameras": [], "mask_folders": ["mask"], "mask_dilation": 0,
         "background": "black", "poses": "new_params", "held_out": 0.0,
     }  # fmt: skip
-    tiny_content["scenes"]["courtyard"] |= {"body": "smpl", "clip": clip}
+    tiny_content["scenes"]["courtyard_mono"] |= {"body": "smpl", "clip": clip}
     with (folder / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
     for name in ("ZJU_MOCAP_ROOT", "SMPL_MODEL"):
         monkeypatch.delenv(name, raising=False)
-    reason = repro.missing_footage(folder / "params.yaml")["courtyard"]
-    assert "scenes.courtyard.clip.root: set the environment variable ZJU_MOCAP_ROOT" in reason
+    reason = repro.missing_footage(folder / "params.yaml")["courtyard_mono"]
+    assert "scenes.courtyard_mono.clip.root: set the environment variable ZJU_MOCAP_ROOT" in reason
     assert "bodies.smpl.file: set the environment variable SMPL_MODEL" in reason
     monkeypatch.setenv("ZJU_MOCAP_ROOT", str(folder))
     monkeypatch.setenv("SMPL_MODEL", str(folder / "smpl.pkl"))
     (folder / "seq").mkdir()
     reason = f"no SMPL file {folder / 'smpl.pkl'} (bodies.smpl.file)"
-    assert repro.missing_footage(folder / "params.yaml") == {"courtyard": reason}
+    assert repro.missing_footage(folder / "params.yaml") == {"courtyard_mono": reason}
     (folder / "smpl.pkl").touch()
     assert repro.missing_footage(folder / "params.yaml") == {}
 
@@ -85,10 +92,10 @@ def test_parameters_that_cannot_be_run_stop_everything_at_once(folder):
 
 
 def test_what_can_be_made_is_every_run_of_the_other_scenes(folder, tiny_content):
-    wanted = repro.targets(folder / "params.yaml", {"courtyard": "gone"})
+    wanted = repro.targets(folder / "params.yaml", {"courtyard_mono": "gone"})
     runs = [name for name, run in tiny_content["runs"].items() if run["scene"] == "studio"]
     assert {f"evaluate@{name}" for name in runs} <= set(wanted)
-    assert not any("courtyard" in name for name in wanted)
+    assert not any("courtyard_mono" in name for name in wanted)
     animated = [name for name in tiny_content["animations"] if name in runs]
     assert {f"animate@{name}" for name in animated} <= set(wanted)
     assert repro.targets(folder / "params.yaml", {}) == []
@@ -129,7 +136,7 @@ def test_without_some_footage_its_scene_is_named_and_the_report_made_all_the_sam
     commands = Commands(monkeypatch, [0, 0])
     with caplog.at_level(logging.INFO):
         assert main(["repro"]) == 0
-    assert "scene courtyard is left out: no folder footage" in caplog.text
+    assert "scene courtyard_mono is left out: no folder footage" in caplog.text
     assert "evaluate@studio-paper" in commands.calls[0]
     assert commands.calls[1] == ["-m", "dvc", "repro", "--single-item", "report"]
 

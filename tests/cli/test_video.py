@@ -1,3 +1,5 @@
+import json
+import logging
 import shutil
 import subprocess
 import sys
@@ -10,6 +12,7 @@ from deblur_avatar.cli.main import main
 from deblur_avatar.cli.video import name_of, prepare
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.sources.monocular import MonocularParams
 from tests.sources.small_videos import picture, write_video
@@ -156,7 +159,31 @@ def test_the_check_comes_before_the_training(root, video, monkeypatch):
     monkeypatch.setattr(subprocess, "run", run)
     (root / "stages").mkdir()
     assert main(["video", str(video), "--name", "anna"]) == 3
-    assert asked == ["check@anna", "animate@anna-lean", "evaluate@anna-lean"]
+    assert asked == [
+        "check@anna", "self_check@anna-lean", "animate@anna-lean", "evaluate@anna-lean",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "last"), [(0.9, "The avatar passes its self-check"), (0.1, "The avatar FAILS")]
+)
+def test_the_self_check_has_the_last_word(root, video, monkeypatch, caplog, value, last):
+    monkeypatch.chdir(root)
+    (root / "stages").mkdir()
+
+    def run(command, **_):
+        found = vars(judged(Scale(0.75, 0.5, "IoU", "look at the masks"), value))
+        path = root / "avatars/anna/metrics/self_check/anna-lean.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = {"verdict": found["verdict"], "findings": {"coverage_iou": found}}
+        path.write_text(json.dumps(content))
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    with caplog.at_level(logging.INFO):
+        assert main(["video", str(video), "--name", "anna"]) == 0
+    assert caplog.messages[-1].startswith(last)
+    assert ("look at the masks" in caplog.text) == (value < 0.5)
 
 
 def test_a_missing_video_is_one_clear_line(tmp_path: Path):

@@ -43,6 +43,6 @@ def test_a_word_of_a_parameter_without_a_case_is_found(jobs, word):
 def test_stages_that_are_compared_have_a_case(jobs):
     assert {job.stage for job in jobs} >= {
         "body", "clip", "blur", "score_blur", "preprocess", "predeblur", "score_predeblur", "check",
-        "warmup", "trajectory", "fusion", "evaluate", "learning_curve", "animate", "stability",
-        "stability_scene",
+        "warmup", "trajectory", "fusion", "evaluate", "learning_curve", "animate", "self_check",
+        "stability", "stability_scene",
     }  # fmt: skip

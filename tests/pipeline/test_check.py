@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.findings import tell
 from deblur_avatar.evaluation.scene_measures import (
     blur_extent,
     coverage,
@@ -15,10 +16,7 @@ from deblur_avatar.evaluation.scene_measures import (
 from deblur_avatar.pipeline.check import (
     CheckParams,
     check_scene,
-    judged,
     refuse_failed,
-    tell,
-    worst,
 )
 from deblur_avatar.reporting.check_pictures import check_page, draw_check
 
@@ -129,18 +127,6 @@ def test_what_preprocess_measured_is_judged_too(seen):
     assert found["reprojection_share"]["verdict"] == "warn"
     assert found["speed_ratio"]["verdict"] == "warn"
     assert verdicts(seen)["reprojection_share"] == "unknown"
-
-
-def test_rising_and_falling_numbers_are_judged_by_their_own_side():
-    assert [judged("mask_body_iou", value).verdict for value in (0.9, 0.6, 0.3)] == [
-        "ok", "warn", "fail",
-    ]  # fmt: skip
-    assert [judged("blur_share", value).verdict for value in (0.1, 0.3, 0.9)] == [
-        "ok", "warn", "fail",
-    ]  # fmt: skip
-    assert judged("view_coverage_degrees", 1.0).verdict == "warn"
-    assert worst(["ok", "unknown", "warn"]) == "warn"
-    assert worst(["unknown"]) == "ok"
 
 
 def test_a_failed_scene_is_told_loudly_and_stops_only_if_asked(seen, caplog):

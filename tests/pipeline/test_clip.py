@@ -91,8 +91,8 @@ def test_a_new_source_is_a_class_and_a_line(
 
 def test_footage_that_is_not_there_is_refused(body: Body, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("POSE2SIM_ROOT", "/nowhere")
-    params = parse(ClipParams, SCENES["courtyard"]["clip"], "scenes.courtyard.clip")
-    reason = "no folder /nowhere (scenes.courtyard.clip.root)"
-    assert params.missing_files("scenes.courtyard.clip") == (reason,)
+    params = parse(ClipParams, SCENES["courtyard_mono"]["clip"], "scenes.courtyard_mono.clip")
+    reason = "no folder /nowhere (scenes.courtyard_mono.clip.root)"
+    assert params.missing_files("scenes.courtyard_mono.clip") == (reason,)
     with pytest.raises(ConfigError, match="POSE2SIM_ROOT"):
         load_clip(params, body, detect=nobody, generator=torch.Generator())

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.imaging.video_writing import write_video
 from deblur_avatar.pipeline.report import make_report
@@ -17,6 +18,7 @@ from deblur_avatar.reporting.picture_strips import (
     strips_of_scene,
 )
 from deblur_avatar.reporting.report_tables import facts_of, tables_of
+from deblur_avatar.reporting.results_table import markdown
 from tests.measured_costs import run_of, write_costs
 
 METHODS = ("ceiling", "oracle", "agnostic", "paper", "lean", "magic")
@@ -367,6 +369,43 @@ def test_the_strip_of_the_readme_is_a_picture_of_all_columns(project):
     made(project).save(project / "reports")
     picture = read_picture(project / "reports/strip.png")
     assert picture.shape[1] > 5 * 200
+
+
+def test_filmed_scenes_show_what_alignment_of_colours_changes():
+    one = {"left": {"psnr_seen": 21.0}}
+    filmed = {"color_aligned": {"cameras": one}, "body_iou": {"left": 0.91}}
+    tables = tables_of({"agnostic": result("s", "agnostic", 20.0, **filmed)}, {})
+    (table,) = [t for t in tables if t and t.title == "Camera by camera, colours aligned"]
+    text = markdown(table)
+    assert "21.00" in text
+    assert "0.91" in text
+    plain_tables = tables_of({"agnostic": result("s", "agnostic", 20.0)}, {})
+    assert "colours aligned" not in " ".join(t.title for t in plain_tables if t)
+
+
+def test_an_avatar_that_fails_its_self_check_is_told_of_on_top(project):
+    good = vars(judged(Scale(0.02, 0.1, "share", "look at the masks"), 0.01))
+    bad = vars(judged(Scale(0.02, 0.1, "share", "look at the masks"), 0.3))
+    for method, found in (("paper", bad), ("oracle", good)):
+        content = {"verdict": found["verdict"], "findings": {"outside_filmed": found}}
+        write_json(project / f"metrics/self_check/studio-{method}.json", content)
+    page = made(project).page
+    before = page.split('<div class="figures">')[0]
+    assert "studio-paper fails its self-check" in before
+    assert "Outside filmed: 0.3 (share). look at the masks" in before
+    assert "studio-oracle fails" not in page
+    (project / "metrics/self_check/studio-paper.json").write_text("{}")
+    with pytest.raises(ArtifactError, match=r"studio-paper\.json is damaged"):
+        made(project)
+
+
+def test_the_confusion_table_is_among_the_results_where_somebody_made_it(project, tmp_path):
+    made(project).save(tmp_path / "without")
+    assert not (tmp_path / "without/self_check.json").exists()
+    cases = {"good": 2, "damaged": 1, "gross_misses": 0, "cases": []}
+    write_json(project / "metrics/self_check/cases.json", cases)
+    made(project).save(tmp_path / "with")
+    assert json.loads((tmp_path / "with/self_check.json").read_text()) == cases
 
 
 def test_few_cameras_are_shown_apart_and_many_are_not():

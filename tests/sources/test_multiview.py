@@ -62,6 +62,7 @@ def params(root: Path, **changes: Any) -> MultiviewParams:
         "frames": (1, 11),
         "image_height": 1000,
         "train_camera": 1,
+        "pose_cameras": (0,),
         "test_stride": 3,
         "held_out": 0.2,
     }
@@ -70,9 +71,11 @@ def params(root: Path, **changes: Any) -> MultiviewParams:
 
 def test_every_camera_is_read_at_the_same_instants(root: Path):
     clip, _ = load_multiview(params(root), bright)
-    assert clip.frames.shape == (3, 10, HEIGHT, WIDTH, 3)
-    assert clip.frames[:, 0, 2, 2, 0].tolist() == [24, 24, 32]  # frames 1, 1 and 1 + 2
-    assert clip.recorded == (0, 1, 2)
+    assert clip.frames.shape == (2, 10, HEIGHT, WIDTH, 3)
+    assert clip.frames[:, 0, 2, 2, 0].tolist() == [24, 24]
+    late = load_multiview(params(root, pose_cameras=(2,)), bright)[0]
+    assert late.frames[:, 0, 2, 2, 0].tolist() == [24, 32]  # frames 1 and 1 + 2
+    assert clip.recorded == (1, 0)
     assert clip.train_camera == 1
     assert clip.timestamps.tolist() == pytest.approx([(1 + i) / FPS for i in range(10)], abs=2e-3)
     assert clip.held_out_from == 8
@@ -81,8 +84,8 @@ def test_every_camera_is_read_at_the_same_instants(root: Path):
 
 def test_narrow_pictures_keep_their_pixels_and_are_padded_on_the_right(root: Path):
     clip, _ = load_multiview(params(root), bright)
-    assert torch.equal(clip.frames[1, 0, :, :NARROW], torch.from_numpy(picture(1, NARROW)))
-    assert clip.frames[1, :, :, NARROW:].max() == 0
+    assert torch.equal(clip.frames[0, 0, :, :NARROW], torch.from_numpy(picture(1, NARROW)))
+    assert clip.frames[0, :, :, NARROW:].max() == 0
     assert clip.cameras.sizes.tolist() == [[WIDTH, HEIGHT]] * 3
     assert clip.cameras.Ks[1].tolist() == [[80, 0, 32], [0, 80, 24], [0, 0, 1]]
 
@@ -101,18 +104,27 @@ def test_pictures_and_intrinsics_are_scaled_alike(root: Path):
 
 
 def test_the_reference_shows_the_other_cameras_every_so_many_frames(root: Path):
-    clip, reference = load_multiview(params(root), bright)
+    clip, reference = load_multiview(params(root, pose_cameras=()), bright)
+    filmed = load_multiview(params(root), bright)[0].frames[1]
     assert reference.camera_indices.tolist() == [0, 0, 0, 2, 2, 2]
     assert reference.frame_indices.tolist() == [1, 4, 7, 1, 4, 7]
     assert reference.novel_pose.tolist() == [0] * 6
-    held = load_multiview(params(root, held_out=0.5), bright)[1]
+    held = load_multiview(params(root, pose_cameras=(), held_out=0.5), bright)[1]
     assert held.novel_pose.tolist() == [0, 0, 1, 0, 0, 1]
-    person = bright(clip.frames[0, 4:5])[0] > 0
+    person = bright(filmed[4:5])[0] > 0
     assert torch.equal(reference.mattes[1] > 0, person)
     # Background grey counts frames, so its median is not exact; the person is.
-    assert torch.equal(reference.images[1][person], clip.frames[0, 4][person])
+    assert torch.equal(reference.images[1][person], filmed[4][person])
     assert reference.images[1][~person].max() == 0
     assert reference.background == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("pose_cameras", [(), (0,), (2,)])
+def test_no_pixel_of_a_scored_camera_is_recorded(root: Path, pose_cameras: tuple[int, ...]):
+    clip, reference = load_multiview(params(root, pose_cameras=pose_cameras), bright)
+    assert set(clip.recorded) == {1, *pose_cameras}
+    assert len(clip.frames) == len(clip.recorded)
+    assert set(reference.camera_indices.tolist()) == {0, 1, 2} - set(clip.recorded)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +136,11 @@ def test_the_reference_shows_the_other_cameras_every_so_many_frames(root: Path):
         ({"frame_offsets": (0, -2, 0)}, "clip.frames: 1 to 11"),
         ({"frames": (3, 4)}, "under two"),
         ({"videos": ("0.mkv",), "frame_offsets": (0,), "principal_point_shifts": ((0.0, 0.0),),
-          "train_camera": 0}, "need a second camera"),
+          "train_camera": 0, "pose_cameras": ()}, "need a camera beside"),
+        ({"pose_cameras": (0, 2)}, "need a camera beside"),
+        ({"pose_cameras": (3,)}, "clip.pose_cameras: 3 of 3, counted from 0"),
+        ({"pose_cameras": (1,)}, "or the training camera 1, which is recorded anyway"),
+        ({"pose_cameras": (0, 0)}, "name a camera twice"),
     ],
 )  # fmt: skip
 def test_parameters_that_contradict_each_other_are_refused(root: Path, changes, message: str):

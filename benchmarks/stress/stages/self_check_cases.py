@@ -1,0 +1,39 @@
+"""Stage `self_check_cases`: avatars known to be good or damaged, and what the self-check says."""
+
+from pathlib import Path
+
+from benchmarks.stress.fit import FitSetup
+from benchmarks.stress.params import SelfCheckParams
+from benchmarks.stress.self_check_cases import cases_of, confusion, judge_case
+from benchmarks.stress.suite import scenes_in
+from deblur_avatar import run
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.parameters import MethodParams
+from deblur_avatar.training.params import RecipeParams
+from deblur_avatar.training.schedule import ScheduleParams
+
+
+def main(scenes: Path, metrics: Path, params_file: Path) -> None:
+    """Write the confusion table with all its cases; `scenes` is what was filmed."""
+    params = load_params(params_file, "self_check", SelfCheckParams)
+    seed = load_params(params_file, "seed", int)
+    with run.stage("self_check_cases", "all", seed) as context:
+        setups = {
+            method: FitSetup(
+                load_params(params_file, "avatars.lean", RecipeParams),
+                load_params(params_file, f"methods.{method}", MethodParams),
+                load_params(params_file, "schedules.suite", ScheduleParams),
+                validation_stride=load_params(params_file, "validation_stride", int),
+                seed=seed,
+                device=context.device,
+            )
+            for method in params.methods
+        }
+        load = scenes_in(scenes)
+        cases = run.progress(list(cases_of(params)), "self-checks")
+        rows = [judge_case(case, setups[case.method], load) for case in cases]
+        run.write_json(metrics, confusion(rows))
+
+
+if __name__ == "__main__":
+    run.command(main)

@@ -1,0 +1,216 @@
+"""Statistics of a fitted avatar that need no ground truth: is it one person, and the one filmed?
+
+Conventions. Coverage is the avatar's alpha in [0, 1]. "Outside" is farther from the posed body's
+silhouette than `MARGIN`, measured in the picture at the body's depth: clothes and hair may stand
+off that far, surroundings stand farther. Shares are of the avatar's whole coverage.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from deblur_avatar.animation.placement import framed_intrinsics
+from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.evaluation.reblur import reblurred
+from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.rendering.mesh_rendering import View, cast_rays
+
+MARGIN = 0.15  # metres that clothes and hair may stand off the body
+FRAMES = 12  # of the training camera that are looked at
+SIDES = 8  # of the turntable
+TURNTABLE_SIZE = 192  # pixels
+ROOM = (
+    0.35  # around the body on the turntable, as a share of its box: what floats is in the picture
+)
+CLEAR = 26  # of a matte's 255: from here on a pixel shows some of the person
+
+# Which joints' surface belongs to which part.
+PARTS = {
+    "left arm": ("left_elbow", "left_wrist", "left_hand"),
+    "right arm": ("right_elbow", "right_wrist", "right_hand"),
+    "left leg": ("left_knee", "left_ankle", "left_foot"),
+    "right leg": ("right_knee", "right_ankle", "right_foot"),
+    "head": ("head",),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """The avatar and its posed body in one picture."""
+
+    image: Float[Tensor, "H W 3"]  # sRGB
+    alpha: Float[Tensor, "H W"]
+    distance: Float[np.ndarray, "H W"]  # metres from the body's silhouette, 0 inside
+
+    @property
+    def outside(self) -> Float[Tensor, "H W"]:
+        """Coverage beyond the margin."""
+        return self.alpha * torch.from_numpy(self.distance > MARGIN)
+
+
+def outside_share(looks: Sequence[Look]) -> float | None:
+    """Share of the avatar's coverage that lies outside; None for an avatar that covers nothing."""
+    total = sum(float(look.alpha.sum()) for look in looks)
+    return sum(float(look.outside.sum()) for look in looks) / total if total else None
+
+
+def filmed_looks(
+    model: AvatarModel, observations: Observations, motion: Motion, positions: Sequence[int]
+) -> list[Look]:
+    """Averaged renders of some exposures, beside the body in the middle of each."""
+    body = observations.body
+    looks = []
+    for position in positions:
+        image, alpha = reblurred(model, observations, motion, position)
+        poses = motion.centre.at([position])
+        looks.append(Look(image, alpha, silhouette_distance(body, poses, observations.camera)))
+    return looks
+
+
+def turntable(model: AvatarModel, observations: Observations, motion: Motion) -> list[Look]:
+    """The avatar from all sides, each in the pose of another training frame."""
+    chosen = spaced(observations.train, SIDES)
+    looks = []
+    for side in range(SIDES):
+        poses = motion.centre.at([chosen[side * len(chosen) // SIDES]])
+        camera = _beside(observations, poses, 2 * np.pi * side / SIDES)
+        image, alpha = render_avatar(model, poses, camera)
+        distance = silhouette_distance(observations.body, poses, camera)
+        looks.append(Look(image[0].cpu(), alpha[0].cpu(), distance))
+    return looks
+
+
+def _beside(observations: Observations, poses: Poses, angle: float) -> Camera:
+    """The training camera, walked round the person and framed with room to spare."""
+    surface = posed(observations.body, poses)
+    pelvis = surface.joints[0, 0]
+    neck = surface.joints[0, observations.body.joint_names.index("neck")]
+    up = torch.nn.functional.normalize(neck - pelvis, dim=0)
+    turn = torch.eye(4)
+    turn[:3, :3] = axis_angle_to_matrix(angle * up)
+    turn[:3, 3] = pelvis - turn[:3, :3] @ pelvis
+    camera = observations.camera
+    viewmat = camera.viewmat @ turn
+    size = TURNTABLE_SIZE
+    K = framed_intrinsics(surface.vertices, camera.K, viewmat, size, ROOM)
+    return Camera(K, viewmat, size, size)
+
+
+def silhouette_distance(body: Body, poses: Poses, camera: Camera) -> Float[np.ndarray, "H W"]:
+    """Metres, at the body's depth, from each pixel to the silhouette of one pose.
+
+    Infinite everywhere if the body is not in the picture.
+    """
+    inside = _triangles(body, poses, camera) >= 0
+    if not inside.any():
+        return np.full(inside.shape, np.inf)
+    pelvis = posed(body, poses).joints[0, 0]
+    depth = float((camera.viewmat[:3, :3] @ pelvis + camera.viewmat[:3, 3])[2])
+    metres = depth / float(camera.K[0, 0])
+    return np.asarray(distance_transform_edt(~inside) * metres)
+
+
+def _triangles(body: Body, poses: Poses, camera: Camera) -> Int[np.ndarray, "H W"]:
+    """Which triangle of the body each pixel sees; -1 for none."""
+    K, viewmat = (part.double().cpu().numpy() for part in (camera.K, camera.viewmat))
+    view = View(K, viewmat, camera.width, camera.height, samples_per_axis=1)
+    vertices = posed(body, poses).vertices[0].numpy()
+    hits = cast_rays(vertices, body.faces.numpy(), view.centre, view.directions.reshape(-1, 3))
+    return hits.triangle.reshape(camera.height, camera.width)
+
+
+def far_share(model: AvatarModel) -> float | None:
+    """Share of the opacity whose Gaussians stand farther than the margin from the body."""
+    gaussians = model.densified
+    if gaussians is None or not len(gaussians):
+        return None
+    means, opacities = gaussians.means.detach().cpu(), gaussians.opacities.detach().cpu()
+    tree = cKDTree(model.canonical_vertices.cpu().numpy())
+    distance = torch.as_tensor(tree.query(means.numpy())[0])
+    return float(opacities[distance > MARGIN].sum() / opacities.sum())
+
+
+def explained_share(
+    observations: Observations, looks: Sequence[Look], positions: Sequence[int]
+) -> float | None:
+    """Share of the variance inside the mattes that averaged renders explain.
+
+    1 is a perfect render, 0 is as good as the person's mean colour; below that, worse.
+    """
+    weights, frames = _person(observations, positions)
+    if not float(weights.sum()):
+        return None
+    mean = (weights * frames).sum((0, 1, 2)) / weights.sum()
+    renders = torch.stack([look.image for look in looks])
+    left = (weights * (renders - frames).square()).sum()
+    return float(1 - left / (weights * (frames - mean).square()).sum().clamp(min=1e-9))
+
+
+def _person(
+    observations: Observations, positions: Sequence[int]
+) -> tuple[Float[Tensor, "S H W 1"], Float[Tensor, "S H W 3"]]:
+    """Some frames, and how much of each pixel is the person's and comparable."""
+    index = list(positions)
+    weights = observations.mattes[index].float() / 255
+    if observations.comparable is not None:
+        weights = weights * observations.comparable[index].float() / 255
+    return weights[..., None], observations.frames[index].float() / 255
+
+
+def coverage_iou(
+    observations: Observations, looks: Sequence[Look], positions: Sequence[int]
+) -> float | None:
+    """Soft intersection over union of the avatar's coverage and the mattes."""
+    mattes = observations.mattes[list(positions)].float() / 255
+    alphas = torch.stack([look.alpha for look in looks])
+    union = torch.maximum(mattes, alphas).sum()
+    return float(torch.minimum(mattes, alphas).sum() / union) if union else None
+
+
+def parts_inside(
+    observations: Observations, motion: Motion, positions: Sequence[int]
+) -> dict[str, float]:
+    """Share of each part's silhouette that mattes confirm, where the part is in the picture.
+
+    A limb whose fitted motion is wrong lies where the matte shows nobody.
+    """
+    labels = _part_of_triangles(observations.body)
+    met: dict[str, list[float]] = {}
+    for position in positions:
+        triangles = _triangles(observations.body, motion.centre.at([position]), observations.camera)
+        person = observations.mattes[position].numpy() >= CLEAR
+        for part, name in enumerate(PARTS):
+            shown: Bool[np.ndarray, "H W"] = (triangles >= 0) & (labels[triangles] == part)
+            if shown.any():
+                met.setdefault(name, []).append(float(person[shown].mean()))
+    return {name: float(np.mean(shares)) for name, shares in met.items()}
+
+
+def _part_of_triangles(body: Body) -> Int[np.ndarray, " T"]:
+    """The part each triangle belongs to by its strongest joint, below it too; -1 for the trunk."""
+    joints = np.full(len(body.parents), -1)
+    for joint, parent in enumerate(body.parents):  # parents come first
+        named = [i for i, names in enumerate(PARTS.values()) if body.joint_names[joint] in names]
+        inherited = joints[parent] if parent >= 0 else -1
+        joints[joint] = named[0] if named else inherited
+    strongest = body.lbs_weights.argmax(1).numpy()
+    return joints[strongest[body.faces[:, 0].numpy()]]
+
+
+def spaced(positions: Sequence[int], count: int) -> list[int]:
+    """At most `count` of some positions, evenly spaced."""
+    steps = np.linspace(0, len(positions) - 1, min(count, len(positions))).round().astype(int)
+    return [positions[step] for step in steps]

@@ -1,0 +1,94 @@
+"""Findings of a check: one number each, its verdict, and what to do about it.
+
+Verdicts are `ok`, `warn`, `fail`, and `unknown` where the number could not be measured.
+"""
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import TypeAdapter, ValidationError
+
+from deblur_avatar import run
+from deblur_avatar.errors import ArtifactError
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One number, what it means and what to do about it."""
+
+    value: float | None
+    unit: str
+    verdict: str
+    advice: str
+
+
+class Scale(NamedTuple):
+    """Up to which values a finding is ok, and from which it fails; a fall is worse if ok > fail."""
+
+    ok: float
+    fail: float | None  # None: never worse than a warning, and low values are the bad ones
+    unit: str
+    advice: str
+
+
+def judged(scale: Scale, value: float | None) -> Finding:
+    """Give a number its verdict and advice."""
+    if value is None:
+        return Finding(None, scale.unit, "unknown", "")
+    rising = scale.fail is not None and scale.fail > scale.ok
+    falls = not rising
+    good = value >= scale.ok if falls else value <= scale.ok
+    if good:
+        return Finding(value, scale.unit, "ok", "")
+    bad = scale.fail is not None and (value < scale.fail if falls else value > scale.fail)
+    return Finding(value, scale.unit, "fail" if bad else "warn", scale.advice)
+
+
+def worst(verdicts: Iterable[str]) -> str:
+    """`fail` before `warn` before `ok`."""
+    given = set(verdicts)
+    return next((verdict for verdict in ("fail", "warn") if verdict in given), "ok")
+
+
+def tell(what: str, content: Mapping[str, Any]) -> None:
+    """Log the findings of `what`, loudly where they are bad."""
+    for name, finding in content["findings"].items():
+        if finding["verdict"] in ("warn", "fail"):
+            logger.warning(
+                "%s %s: %s %.3g %s. %s", finding["verdict"].upper(), what, name.replace("_", " "),
+                finding["value"], finding["unit"], finding["advice"],
+            )  # fmt: skip
+    logger.info("check %s: %s", what, content["verdict"])
+
+
+def failures(content: Mapping[str, Any]) -> list[str]:
+    """What failed, a sentence each: the finding, its number, what to do."""
+    return [
+        f"{name.replace('_', ' ').capitalize()}: {finding['value']:.2g} ({finding['unit']}). "
+        f"{finding['advice']}"
+        for name, finding in content["findings"].items()
+        if finding["verdict"] == "fail"
+    ]
+
+
+def read_findings(path: Path) -> dict[str, Any]:
+    """What a check wrote.
+
+    Raises:
+        ArtifactError: if the file is missing or damaged.
+    """
+    content = run.read_json(path)
+    try:
+        TypeAdapter(dict[str, Finding]).validate_python(content.get("findings"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, ("findings", *first["loc"])))
+        raise ArtifactError(
+            f"{path} is damaged: {where}: {first['msg']}; run `dvc repro`"
+        ) from None
+    return content

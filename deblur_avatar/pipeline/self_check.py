@@ -1,0 +1,112 @@
+"""Stage `self_check`: whether a fitted avatar is usable, judged by itself, without ground truth.
+
+The second part of the check: `check` asks before training whether the scene is fit for it, this
+asks afterwards whether the avatar is one person, and the one that was filmed.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.evaluation.avatar_measures import (
+    FRAMES,
+    Look,
+    coverage_iou,
+    explained_share,
+    far_share,
+    filmed_looks,
+    outside_share,
+    parts_inside,
+    spaced,
+    turntable,
+)
+from deblur_avatar.evaluation.findings import Scale, judged, worst
+
+_SURROUNDINGS = (
+    "The avatar holds something that is not the person: look at masks and background "
+    "(preprocess.background: auto), at people beside and objects in the hands."
+)
+_SCALES = {
+    "outside_filmed": Scale(0.02, 0.1, "share of its light", _SURROUNDINGS),
+    "outside_turntable": Scale(
+        0.03, 0.12, "share of its light",
+        "Seen from other sides the avatar spreads beyond the person: let the person turn, use a "
+        "longer schedule, look at the poses in check.png.",
+    ),
+    "far_gaussians": Scale(
+        0.02, 0.1, "share of its opacity",
+        "Gaussians stand more than 15 cm off the body. " + _SURROUNDINGS,
+    ),
+    "coverage_iou": Scale(
+        0.75, 0.5, "IoU with the masks",
+        "The avatar does not fill the person's masks: poses, focal length or masks are wrong.",
+    ),
+    "explained_share": Scale(
+        0.6, 0.3, "share of the variance",
+        "The avatar does not look like the frames set aside: poses or masks are wrong, the motion "
+        "is too fast, or the schedule is too short.",
+    ),
+    "worst_part_inside": Scale(
+        0.75, 0.4, "share of the part",
+        "A limb lies where the masks show nobody, so its motion cannot be believed: bring "
+        "keypoints of a better detector, or poses.",
+    ),
+    "seen_share": Scale(
+        0.5, None, "share of the surface",
+        "The rest was never seen by the camera and is made up: let the person turn.",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCheck:
+    """The findings, and the pictures they were read off."""
+
+    content: dict[str, Any]
+    filmed: dict[int, Look]  # by position
+    sides: list[Look]
+
+
+def self_check(
+    observations: Observations, avatar: Avatar, motion: Motion, device: torch.device
+) -> SelfCheck:
+    """Judge one fitted avatar.
+
+    Args:
+        observations: the blurred ones that it was fitted to.
+        avatar: fitted.
+        motion: of every exposure.
+        device: to render on.
+
+    Returns:
+        As `content`: the worst `verdict`, the `findings` by name, and `parts`: the share of each
+        limb that the masks confirm.
+    """
+    model = avatar_from_artifact(avatar, observations.body, device)
+    trained = spaced(observations.train, FRAMES)
+    aside = spaced(observations.validation or observations.train, FRAMES)
+    filmed = filmed_looks(model, observations, motion, trained)
+    explained = filmed_looks(model, observations, motion, aside)
+    sides = turntable(model, observations, motion)
+    parts = parts_inside(observations, motion, trained)
+    values = {
+        "outside_filmed": outside_share(filmed),
+        "outside_turntable": outside_share(sides),
+        "far_gaussians": far_share(model),
+        "coverage_iou": coverage_iou(observations, filmed, trained),
+        "explained_share": explained_share(observations, explained, aside),
+        "worst_part_inside": min(parts.values(), default=None),
+        "seen_share": 1 - observations.occluded_fraction,
+    }
+    findings = {name: judged(_SCALES[name], value) for name, value in values.items()}
+    content = {
+        "verdict": worst(finding.verdict for finding in findings.values()),
+        "findings": {name: vars(finding) for name, finding in findings.items()},
+        "parts": parts,
+    }
+    return SelfCheck(content, dict(zip(trained, filmed, strict=True)), sides)

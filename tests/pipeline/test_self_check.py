@@ -1,0 +1,124 @@
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from deblur_avatar.motion.frame import FixedMotion
+from deblur_avatar.pipeline.self_check import self_check
+from deblur_avatar.reporting.self_check_pictures import draw_self_check, self_check_page
+from tests.filmed_avatar import filmed_with, fine_avatar
+from tests.stages.running import run_script
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def filmed(make_observations, body):
+    return filmed_with(make_observations(size=96), fine_avatar(body))
+
+
+@pytest.fixture(scope="module")
+def motion(filmed):
+    return FixedMotion(filmed.poses).to_artifact(filmed.poses.betas, filmed.timestamps)
+
+
+@pytest.fixture
+def avatar(body):
+    return fine_avatar(body)
+
+
+def failed(observations, avatar, motion) -> set[str]:
+    content = self_check(observations, avatar.to_artifact(1), motion, CPU).content
+    return {name for name, found in content["findings"].items() if found["verdict"] == "fail"}
+
+
+def test_a_good_avatar_passes(filmed, avatar, motion):
+    content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
+    assert content["verdict"] == "ok"
+    json.dumps(content)
+
+
+def test_surroundings_torn_into_the_avatar_fail(filmed, avatar, motion):
+    # What a background that nothing took away does: Gaussians all around, which explain it.
+    with torch.no_grad():
+        scattered = avatar.gaussians.means[::2]
+        scattered.add_(0.8 * torch.sin(50 * scattered))
+    assert failed(filmed, avatar, motion) >= {
+        "outside_filmed",
+        "outside_turntable",
+        "far_gaussians",
+    }
+
+
+def test_a_body_of_another_place_fails(filmed, avatar, motion):
+    beside = dataclasses.replace(
+        motion, centre=dataclasses.replace(motion.centre, transl=motion.centre.transl + 0.6),
+        transl=motion.transl + 0.6,
+    )  # fmt: skip
+    assert failed(filmed, avatar, beside) >= {
+        "coverage_iou",
+        "explained_share",
+        "worst_part_inside",
+    }
+
+
+def test_masks_of_somebody_else_fail(filmed, avatar, motion):
+    other = dataclasses.replace(filmed, mattes=filmed.mattes.roll(24, dims=2))
+    assert failed(other, avatar, motion) >= {"coverage_iou", "worst_part_inside"}
+
+
+def test_colours_of_somebody_else_fail(filmed, avatar, motion):
+    with torch.no_grad():
+        avatar.gaussians.features.neg_()
+    assert failed(filmed, avatar, motion) == {"explained_share"}
+
+
+def test_an_avatar_that_shows_nothing_fails(filmed, avatar, motion):
+    with torch.no_grad():
+        avatar.gaussians.opacity_logits.fill_(-30)
+    assert failed(filmed, avatar, motion) >= {"coverage_iou"}
+
+
+def test_an_arm_that_moves_as_nobody_did_fails(filmed, avatar, motion, body):
+    raised = motion.centre.body_pose.clone()
+    raised[:, body.joint_names.index("left_shoulder") - 1, 2] += 1.6
+    wrong = dataclasses.replace(motion, centre=dataclasses.replace(motion.centre, body_pose=raised))
+    assert failed(filmed, avatar, wrong) == {"worst_part_inside"}
+
+
+def test_the_page_names_what_failed_and_loads_nothing(filmed, avatar, motion):
+    with torch.no_grad():
+        avatar.gaussians.features.neg_()
+    checked = self_check(filmed, avatar.to_artifact(1), motion, CPU)
+    sheet = draw_self_check(filmed, checked.filmed, checked.sides)
+    page = self_check_page("anna-lean", checked.content, sheet)
+    assert '<h1>anna-lean: <span class="fail">fail</span></h1>' in page
+    assert "The avatar does not look like the frames set aside" in page
+    assert "http" not in page.split("</style>")[1]
+
+
+def test_what_lies_outside_is_red(filmed, avatar, motion):
+    clean = self_check(filmed, avatar.to_artifact(1), motion, CPU)
+    with torch.no_grad():
+        avatar.gaussians.means[::4, 0] += 0.9
+    torn = self_check(filmed, avatar.to_artifact(1), motion, CPU)
+
+    def red(checked):
+        sheet = draw_self_check(filmed, checked.filmed, checked.sides).astype(int)
+        return int(((sheet[..., 0] > 200) & (sheet[..., 1] < 90) & (sheet[..., 2] < 90)).sum())
+
+    assert red(torn) > 50 + 5 * red(clean)
+
+
+def test_the_stage_writes_findings_a_picture_and_a_page(filmed, avatar, motion, tmp_path):
+    filmed.save(tmp_path / "observations")
+    avatar.to_artifact(1).save(tmp_path / "fusion/avatar")
+    motion.save(tmp_path / "fusion/motion")
+    done = run_script(
+        "self_check", name="anna-lean", observations=tmp_path / "observations",
+        fusion=tmp_path / "fusion", out=tmp_path / "out", metrics=tmp_path / "anna-lean.json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "anna-lean.json").read_text())["verdict"] == "ok"
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"self_check.png", "index.html"}
