@@ -1,8 +1,11 @@
 """Write a fitted run as a file that other programs open.
 
 page: the avatar in any browser, turned by hand, in its own and other motions (lean).
-ply: the avatar in the pose of one frame, for viewers of 3D Gaussian splats.
-npz: the fitted motion, with the keys of AMASS.
+ply, spz, sog, gltf_splats: the avatar in the pose of one frame, for viewers of 3D Gaussian splats.
+ply_sequence, usd: a motion as the splats of every frame.
+gltf_rig: skeleton, motions and body, for programs that animate.
+bvh, npz: a motion of the fitted skeleton; npz has the keys of AMASS.
+rig_arrays: Gaussians, joints and weights as numpy arrays, for programs of your own (lean).
 """
 
 import argparse
@@ -26,6 +29,7 @@ PARAMS = "params.yaml"
 # Options of formats, and what they are where they are not given; a format has some of them.
 DEFAULTS: dict[str, Any] = {
     "frame": 0,
+    "motion": "own",
     "motions": ["own", "builtin:jumping_jacks"],
     "fps": 30.0,
     "seconds": 10.0,
@@ -41,13 +45,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--format", choices=sorted(EXPORTERS), required=True)
     parser.add_argument("--out", type=Path, required=True, help="the file to write")
-    parser.add_argument("--frame", type=int, help="whose pose, counted from 0 (ply; default 0)")
+    parser.add_argument("--frame", type=int, help="whose pose, counted from 0 (default 0)")
     parser.add_argument(
-        "--motions", nargs="+", metavar="MOTION", help="own (what was filmed), builtin:<name> or "
-        "files: .bvh, AMASS .npz, AIST++ .pkl (page; default: own builtin:jumping_jacks)",
+        "--motion", help="own (what was filmed), builtin:<name> or a file: .bvh, AMASS .npz, "
+        "AIST++ .pkl (of formats with one motion; default: own)",
     )  # fmt: skip
-    parser.add_argument("--fps", type=float, help="of motions not filmed (page; default 30)")
-    parser.add_argument("--seconds", type=float, help="the most of these (page; default 10)")
+    parser.add_argument(
+        "--motions", nargs="+", metavar="MOTION", help="the same (of formats with several; "
+        "default: own builtin:jumping_jacks)",
+    )  # fmt: skip
+    parser.add_argument("--fps", type=float, help="of motions not filmed (default 30)")
+    parser.add_argument("--seconds", type=float, help="the most of these (default 10)")
     parser.add_argument("--pictures", type=int, help="filmed frames (page; default 12)")
     parser.add_argument("--beside", metavar="RUN", help="another run shown beside it (page)")
 
@@ -65,12 +73,20 @@ def run(asked: argparse.Namespace) -> int:
     options |= {name: value for name, value in given.items() if value is not None}
     exporter = parse(ExportParams, {"format": asked.format, **options}, "export")
     if asked.out.suffix != exporter.suffix:
-        raise ConfigError(f"--out {asked.out}: a file of this format ends in {exporter.suffix}")
+        wanted = (
+            f"file of this format ends in {exporter.suffix}"
+            if exporter.suffix
+            else ("folder's name has no dot: this format is a folder of files")
+        )
+        raise ConfigError(f"--out {asked.out}: a {wanted}")
     fitted = load_run(*find_run(asked.run))
     if asked.beside is not None:
+        if asked.format != "page":
+            raise ConfigError(f"--beside {asked.beside}: only a page shows two avatars")
         fitted = replace(fitted, beside=load_run(*find_run(asked.beside)))
     exporter.export(fitted, asked.out)
-    logger.info("%s: %.1f MB", asked.out, asked.out.stat().st_size / 1e6)
+    files = asked.out.rglob("*") if asked.out.is_dir() else [asked.out]
+    logger.info("%s: %.1f MB", asked.out, sum(file.stat().st_size for file in files) / 1e6)
     return 0
 
 

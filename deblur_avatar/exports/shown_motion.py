@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from deblur_avatar.animation.driving_motion import turn_between
 from deblur_avatar.animation.motion_files import BUILTIN, read_motion
 from deblur_avatar.animation.placement import place
 from deblur_avatar.artifacts.poses import Poses
@@ -76,3 +77,32 @@ def _driven(run: FittedRun, name: str, fps: float, seconds: float) -> ShownMotio
     label = known.replace("_", " ").capitalize()
     times = torch.arange(len(poses.transl)) / motion.fps
     return ShownMotion(known, label, times, poses)
+
+
+def even_motion(run: FittedRun, name: str, fps: float, seconds: float) -> tuple[ShownMotion, float]:
+    """One motion at an even rate, and that rate: its mean one, if it was filmed.
+
+    Raises:
+        ConfigError: as `shown_motions`, and if a filmed motion is one frame.
+        ArtifactError: if the motion's file is damaged.
+    """
+    (motion,) = shown_motions(run, [name], fps, seconds)
+    if name != OWN:
+        return motion, fps
+    times = motion.times.double()
+    if len(times) < 2:
+        raise ConfigError("export: a motion of one frame has no frame rate")
+    rate = float((len(times) - 1) / times[-1])
+    wanted = torch.arange(len(times)).double() / rate
+    after = torch.searchsorted(times, wanted).clamp(1, len(times) - 1)
+    before = after - 1
+    share = ((wanted - times[before]) / (times[after] - times[before])).clamp(0, 1).float()
+    poses = motion.poses
+    turned = turn_between(poses.axis_angle[before], poses.axis_angle[after], share)
+    even = Poses(
+        betas=poses.betas,
+        global_orient=turned[:, 0],
+        body_pose=turned[:, 1:],
+        transl=torch.lerp(poses.transl[before], poses.transl[after], share[:, None]),
+    )
+    return dataclasses.replace(motion, times=wanted.float(), poses=even), rate

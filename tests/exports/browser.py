@@ -1,17 +1,16 @@
 """A real browser for tests of pages: Debian's Chromium, driven by playwright, without a network."""
 
 import base64
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
-import pytest
 
 from deblur_avatar.geometry.cameras import Camera
+from tests.exports.requirement import missing
 
 FLAGS = [
     "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic",
@@ -19,13 +18,6 @@ FLAGS = [
     "--disable-sync",
 ]  # fmt: skip
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-
-
-def missing(reason: str) -> NoReturn:
-    """Skip with the reason; in continuous integration, which installs a browser, fail with it."""
-    if os.environ.get("CI") == "true":
-        pytest.fail(f"{reason} (CI=true: .ci/run installs it)")
-    pytest.skip(reason)
 
 
 @contextmanager
