@@ -1,11 +1,17 @@
 """Write a fitted run as a file that other programs open.
 
-ply: the avatar in the pose of one frame, for viewers of 3D Gaussian splats.
-npz: the fitted motion, with the keys of AMASS.
+page: the avatar in any browser, turned by hand, in its own and other motions (lean).
+ply, spz, sog, gltf_splats: the avatar in the pose of one frame, for viewers of 3D Gaussian splats.
+ply_sequence, usd: a motion as the splats of every frame.
+gltf_rig: skeleton, motions and body, for programs that animate.
+bvh, npz: a motion of the fitted skeleton; npz has the keys of AMASS.
+rig_arrays: Gaussians, joints and weights as numpy arrays, for programs of your own (lean).
 """
 
 import argparse
 import logging
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +21,21 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params, parse, read_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.exports.exporter import Exporter, FittedRun
 from deblur_avatar.exports.registry import EXPORTERS, ExportParams
 
 logger = logging.getLogger(__name__)
 
 PARAMS = "params.yaml"
+# Options of formats, and what they are where they are not given; a format has some of them.
+DEFAULTS: dict[str, Any] = {
+    "frame": 0,
+    "motion": "own",
+    "motions": ["own", "builtin:jumping_jacks"],
+    "fps": 30.0,
+    "seconds": 10.0,
+    "pictures": 12,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +46,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--format", choices=sorted(EXPORTERS), required=True)
     parser.add_argument("--out", type=Path, required=True, help="the file to write")
-    parser.add_argument("--frame", type=int, help="whose pose, counted from 0 (ply; default 0)")
+    parser.add_argument("--frame", type=int, help="whose pose, counted from 0 (default 0)")
+    parser.add_argument(
+        "--motion", help="own (what was filmed), builtin:<name> or a file: .bvh, AMASS .npz, "
+        "AIST++ .pkl (of formats with one motion; default: own)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--motions", nargs="+", metavar="MOTION", help="the same (of formats with several; "
+        "default: own builtin:jumping_jacks)",
+    )  # fmt: skip
+    parser.add_argument("--fps", type=float, help="of motions not filmed (default 30)")
+    parser.add_argument("--seconds", type=float, help="the most of these (default 10)")
+    parser.add_argument("--pictures", type=int, help="filmed frames (page; default 12)")
+    parser.add_argument("--beside", metavar="RUN", help="another run shown beside it (page)")
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -41,15 +68,41 @@ def run(asked: argparse.Namespace) -> int:
         ConfigError: if there is no such run, or the options do not fit the format or the run.
         ArtifactError: if the run was not made yet, or the file cannot be written.
     """
-    options: dict[str, Any] = {"format": asked.format}
-    if asked.frame is not None or "frame" in EXPORTERS[asked.format].__annotations__:
-        options["frame"] = asked.frame or 0
-    exporter = parse(ExportParams, options, "export")
+    exporter = _exporter(asked.format, {name: getattr(asked, name) for name in DEFAULTS})
     if asked.out.suffix != exporter.suffix:
-        raise ConfigError(f"--out {asked.out}: a file of this format ends in {exporter.suffix}")
-    exporter.export(load_run(*find_run(asked.run)), asked.out)
-    logger.info("%s: %.1f MB", asked.out, asked.out.stat().st_size / 1e6)
+        wanted = (
+            f"file of this format ends in {exporter.suffix}"
+            if exporter.suffix
+            else ("folder's name has no dot: this format is a folder of files")
+        )
+        raise ConfigError(f"--out {asked.out}: a {wanted}")
+    fitted = load_run(*find_run(asked.run))
+    if asked.beside is not None:
+        if asked.format != "page":
+            raise ConfigError(f"--beside {asked.beside}: only a page shows two avatars")
+        fitted = replace(fitted, beside=load_run(*find_run(asked.beside)))
+    exporter.export(fitted, asked.out)
+    files = asked.out.rglob("*") if asked.out.is_dir() else [asked.out]
+    logger.info("%s: %.1f MB", asked.out, sum(file.stat().st_size for file in files) / 1e6)
     return 0
+
+
+def write_page(folder: Path, name: str, out: Path) -> None:
+    """Write the page of a run, with the options that it has where none is given.
+
+    Raises:
+        ConfigError: if the run's avatar cannot be shown on a page.
+        ArtifactError: if the run was not made yet, or the file cannot be written.
+    """
+    _exporter("page", {}).export(load_run(folder, name), out)
+
+
+def _exporter(kind: str, given: Mapping[str, Any]) -> Exporter:
+    """The exporter of a format; an option that is not given, or None, is as in `DEFAULTS`."""
+    known = EXPORTERS[kind].__annotations__
+    options = {name: value for name, value in DEFAULTS.items() if name in known}
+    options |= {name: value for name, value in given.items() if value is not None}
+    return parse(ExportParams, {"format": kind, **options}, "export")
 
 
 def find_run(text: str) -> tuple[Path, str]:
@@ -85,6 +138,7 @@ def load_run(folder: Path, name: str) -> FittedRun:
     footage = folder / load_params(folder / PARAMS, "from.footage", str)
     fitted = folder / "data/fusion" / name
     return FittedRun(
+        name=name,
         avatar=Avatar.load(fitted / "avatar"),
         motion=Motion.load(fitted / "motion"),
         observations=Observations.load(footage / "preprocess" / run.scene / run.observations),

@@ -15,6 +15,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from deblur_avatar.cli.export import write_page
 from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.config.reading import (
     read_params,
@@ -30,6 +31,7 @@ from deblur_avatar.sources.footage import read_footage
 logger = logging.getLogger(__name__)
 
 AVATARS, PARAMS, UP = Path("avatars"), "params.yaml", "../.."
+PAGE = "avatar.html"
 BODY = "anny"
 DEFAULT_AVATAR = "paper"
 ADDED_TO = (
@@ -128,8 +130,20 @@ def run(asked: argparse.Namespace) -> int:
     logger.info("All round:    %s/data/animate/%s/video.mp4 and contact_sheet.png", folder, run)
     logger.info("The self-check: %s/data/self_check/%s/index.html", folder, run)
     logger.info("The report:   %s/reports/index.html", folder)
+    _write_page(folder, run)
     _tell_verdict(folder / "metrics/self_check" / f"{run}.json")
     return 0
+
+
+def _write_page(folder: Path, name: str) -> None:
+    """The avatar as a page for any browser, of avatars that can be shown on one."""
+    page = folder / PAGE
+    try:
+        write_page(folder, name, page)
+    except ConfigError as error:
+        logger.info("No page: %s", error)
+    else:
+        logger.info("Turn it by hand: %s", page)
 
 
 def _tell_verdict(path: Path) -> None:

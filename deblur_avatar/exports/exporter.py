@@ -15,11 +15,16 @@ from deblur_avatar.artifacts.observations import Observations
 
 @dataclass(frozen=True)
 class FittedRun:
-    """What a run leaves behind: who was fitted, how it moved, how it was filmed."""
+    """What a run leaves behind: who was fitted, how it moved, how it was filmed.
 
+    `beside` is another run that formats show next to this one where they can show two.
+    """
+
+    name: str
     avatar: Avatar
     motion: Motion
     observations: Observations
+    beside: "FittedRun | None" = None
 
 
 @runtime_checkable

@@ -2,7 +2,8 @@
 
 Conventions. `poses` [F, 72] axis-angle of SMPL's 24 joints in its order, `trans` [F, 3] metres,
 `betas` shape numbers of the body that was fitted (of Anny, where the body is Anny),
-`mocap_framerate` frames a second. The world has +Z up, as AMASS has; frames are equally spaced.
+`mocap_framerate` frames a second, `licence` that body's. The world has +Z up, as AMASS has; frames
+are equally spaced.
 
 Source: Mahmood et al., "AMASS", ICCV 2019, its files' keys.
 """
@@ -52,5 +53,6 @@ class NpzExport(Params):
             betas=run.avatar.betas.numpy(),
             mocap_framerate=np.float64(fps),
             gender=np.str_("neutral"),
+            licence=np.str_(observations.body.licence),
         )
         stage.write_bytes(path, content.getvalue())

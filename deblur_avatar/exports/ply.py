@@ -1,8 +1,9 @@
-"""3D Gaussian splatting's PLY: one pose of an avatar, for viewers of static splats.
+"""3D Gaussian splatting's PLY: one pose of an avatar, or one file a frame of a motion.
 
-Conventions. One element `vertex`, binary, little-endian float32. Positions in metres in the world
-of the clip; `f_dc_*` are spherical harmonics of degree 0 (colour = 0.5 + C0 f_dc, sRGB), `opacity`
-is a logit, `scale_*` natural logarithms of metres, `rot_*` a quaternion wxyz.
+Conventions. One element `vertex`, binary, little-endian float32. The person stands upright with
++Y down, as readers of such files expect (`upright.py`); metres. `f_dc_*` are spherical harmonics of
+degree 0 (colour = 0.5 + C0 f_dc, sRGB), `opacity` is a logit, `scale_*` natural logarithms of
+metres, `rot_*` a quaternion wxyz.
 
 Source: Kerbl et al., "3D Gaussian Splatting", SIGGRAPH 2023, its released point_cloud.ply.
 """
@@ -15,11 +16,11 @@ import torch
 from pydantic import Field
 
 from deblur_avatar import run as stage
-from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.config.section import Params
-from deblur_avatar.errors import ConfigError
+from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.exports.exporter import FittedRun
-from deblur_avatar.exports.posed_gaussians import PosedGaussians, posed_gaussians
+from deblur_avatar.exports.posed_gaussians import PosedGaussians, posed_frame, posed_motion
+from deblur_avatar.exports.shown_motion import even_motion
+from deblur_avatar.exports.upright import upright_of
 
 C0 = 0.28209479177387814  # spherical harmonic of degree 0: 1 / (2 sqrt(pi))
 MAX_OPACITY = 1 - 1e-6  # so that the logit is finite
@@ -39,20 +40,40 @@ class PlyExport(Params):
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the avatar at the middle of this frame's exposure."""
-        count = len(run.motion.timestamps)
-        if self.frame >= count:
-            raise ConfigError(
-                f"export: frame {self.frame} of {count}; frames are counted from 0 to {count - 1}"
+        stage.write_bytes(path, frame_as_ply(run, self.frame))
+
+
+class PlySequenceExport(Params):
+    """A motion as a folder of numbered PLY files, equally spaced in time."""
+
+    suffix: ClassVar[str] = ""
+
+    format: Literal["ply_sequence"]
+    motion: str  # own, builtin:<name> or a file
+    fps: Positive  # of a motion that was not filmed
+    seconds: Positive  # longest duration of it
+
+    def export(self, run: FittedRun, path: Path) -> None:
+        """Write one file a frame, `frame_0000.ply` and on."""
+        motion, _ = even_motion(run, self.motion, self.fps, self.seconds)
+        axes = upright_of(run).for_splats()
+        for index, gaussians in enumerate(posed_motion(run, motion.poses)):
+            stage.write_bytes(
+                path / f"frame_{index:04d}.ply", ply_bytes(axes.gaussians(gaussians), run)
             )
-        cameras = run.observations.cameras
-        model = avatar_from_artifact(run.avatar, run.observations.body, torch.device("cpu"))
-        pose = run.motion.centre.at([self.frame])
-        viewmat = cameras.viewmats[run.observations.train_camera]
-        stage.write_bytes(path, ply_bytes(posed_gaussians(model, pose, viewmat)))
 
 
-def ply_bytes(gaussians: PosedGaussians) -> bytes:
-    """A whole PLY file of these Gaussians."""
+def frame_as_ply(run: FittedRun, frame: int) -> bytes:
+    """A filmed frame's pose as a whole PLY file.
+
+    Raises:
+        ConfigError: if there is no such frame, or the avatar has no Gaussians.
+    """
+    return ply_bytes(upright_of(run).for_splats().gaussians(posed_frame(run, frame)), run)
+
+
+def ply_bytes(gaussians: PosedGaussians, run: FittedRun) -> bytes:
+    """A whole PLY file of these Gaussians; a comment says the licence of the body."""
     columns = [
         gaussians.means,
         (gaussians.colors - 0.5) / C0,
@@ -61,7 +82,8 @@ def ply_bytes(gaussians: PosedGaussians) -> bytes:
         gaussians.quats,
     ]
     table = torch.cat(columns, dim=1).numpy().astype("<f4")
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment body: {run.observations.body.licence}", f"element vertex {len(table)}"]
     header += [f"property float {name}" for name in PROPERTIES]
     return ("\n".join([*header, "end_header"]) + "\n").encode() + np.ascontiguousarray(
         table

@@ -1,5 +1,6 @@
 """Posed Gaussians: an avatar in one pose, as any 3D Gaussian splatting program knows it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -8,8 +9,10 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
+from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.splats import SplatAvatar
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_quat
 from deblur_avatar.imaging.color import linear_to_srgb
 from deblur_avatar.rendering.covariances import whole_matrices
@@ -45,8 +48,7 @@ def posed_gaussians(
     Raises:
         ConfigError: if the avatar is not made of Gaussians.
     """
-    if not isinstance(model, SplatAvatar):
-        raise ConfigError(f"an avatar of kind {model.kind} has no Gaussians to take out")
+    model = _splats(model)
     device = model.betas.device
     with torch.no_grad():
         rotations = axis_angle_to_matrix(pose.axis_angle).to(device)
@@ -63,6 +65,58 @@ def posed_gaussians(
             opacities=model.gaussians.opacities.cpu(),
             colors=(linear_to_srgb(colors) if model.averaging_space == "linear" else colors).cpu(),
         )
+
+
+def posed_frame(run: FittedRun, frame: int) -> PosedGaussians:
+    """The avatar of a run at the middle of one frame's exposure, as the training camera sees it.
+
+    Raises:
+        ConfigError: if there is no such frame, or the avatar is not made of Gaussians.
+    """
+    count = len(run.motion.timestamps)
+    if frame >= count:
+        raise ConfigError(
+            f"export: frame {frame} of {count}; frames are counted from 0 to {count - 1}"
+        )
+    return next(posed_motion(run, run.motion.centre.at([frame])))
+
+
+def posed_motion(run: FittedRun, poses: Poses) -> Iterator[PosedGaussians]:
+    """The avatar of a run in one pose after the other, as the training camera sees it.
+
+    Raises:
+        ConfigError: if the avatar is not made of Gaussians.
+    """
+    observations = run.observations
+    model = avatar_from_artifact(run.avatar, observations.body, torch.device("cpu"))
+    for index in range(len(poses.transl)):
+        yield posed_gaussians(model, poses.at([index]), observations.camera.viewmat)
+
+
+def canonical_colors(
+    model: AvatarModel, viewmat: Float[Tensor, "4 4"]
+) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"], Float[Tensor, " N"]]:
+    """Where Gaussians are in the canonical pose, their sRGB colours there, their opacities.
+
+    Raises:
+        ConfigError: if the avatar is not made of Gaussians.
+    """
+    model = _splats(model)
+    joints = len(model.body.parents)
+    still = Poses(
+        betas=model.betas,
+        global_orient=torch.zeros(1, 3),
+        body_pose=torch.zeros(1, joints - 1, 3),
+        transl=torch.zeros(1, 3),
+    )
+    gaussians = posed_gaussians(model, still, viewmat)
+    return model.gaussians.means.detach().cpu(), gaussians.colors, gaussians.opacities
+
+
+def _splats(model: AvatarModel) -> SplatAvatar:
+    if not isinstance(model, SplatAvatar):
+        raise ConfigError(f"an avatar of kind {model.kind} has no Gaussians to take out")
+    return model
 
 
 def axes_of(

@@ -144,8 +144,8 @@ def _of_real_cameras(
     ious: dict[str, list[float]] = {}
     for view in (comparison.view for comparison in comparisons):
         camera = observations.cameras.camera(view.camera)
-        poses = motion.centre.at([view.position])
-        body = silhouette_distance(observations.body, poses, camera) == 0
+        pose = pose_of_view(observations, motion, view)
+        body = silhouette_distance(observations.body, pose, camera) == 0
         person = view.foreground.numpy()
         ious.setdefault(names[view.camera], []).append(
             (body & person).sum() / (body | person).sum()

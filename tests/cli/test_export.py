@@ -36,6 +36,21 @@ def test_a_run_is_written_as_splats_and_as_motion(project, scene):
     assert len(read_amass(project / out).transl) == len(scene.motion.timestamps)
 
 
+def test_a_run_is_written_as_a_page_with_another_beside_it(project):
+    words = ["export", "capsules-lean", "--format", "page", "--pictures", "2"]
+    assert main([*words, "--out", "a.html"]) == 0
+    beside = ["--beside", "avatars/anna/anna-lean", "--motions", "own"]
+    assert main([*words, *beside, "--out", "b.html"]) == 0
+    assert "anna-lean" not in (project / "a.html").read_text()
+    assert "<h1>capsules-lean | anna-lean</h1>" in (project / "b.html").read_text()
+
+
+def test_a_sequence_is_a_folder(project):
+    words = ["export", "capsules-lean", "--format", "ply_sequence", "--out", "frames"]
+    assert main(words) == 0
+    assert len(list((project / "frames").iterdir())) == 8
+
+
 def test_a_folder_with_one_run_needs_no_name(project):
     text = (project / "params.yaml").read_text()
     (project / "params.yaml").write_text(text[: text.index("  unmade")])
@@ -64,6 +79,14 @@ def test_a_folder_with_one_run_needs_no_name(project):
             "frame: .*greater than or equal",
         ),
         ("capsules-lean --format npz --frame 1 --out a.npz", "export: unknown key 'frame'"),
+        ("capsules-lean --format page --motions fly.bvh --out a.html", "no motion file fly.bvh"),
+        ("capsules-lean --format page --fps 0 --out a.html", "fps: .*greater than 0"),
+        ("capsules-lean --format page --beside bob --out a.html", "no run 'bob' in params.yaml"),
+        ("capsules-lean --format page --out a.htm", "a file of this format ends in .html"),
+        ("capsules-lean --format ply --motions own --out a.ply", "unknown key 'motions'"),
+        ("capsules-lean --format ply_sequence --out a.ply", "this format is a folder of files"),
+        ("capsules-lean --format bvh --motion builtin:x --out a.bvh", "no built-in motion 'x'"),
+        ("capsules-lean --format bvh --beside anna --out a.bvh", "--beside anna: only a page"),
     ],
 )
 def test_what_cannot_be_exported_is_one_clear_line(project, capsys, words, message):

@@ -19,11 +19,12 @@ def folder(tiny_content, tmp_path, monkeypatch):
     monkeypatch.setattr(running_dvc, "refresh", lambda root: [])
     (tmp_path / "dvc.yaml").touch()
     (tmp_path / "stages").mkdir()
-    del tiny_content["scenes"]["courtyard_two"]
-    tiny_content["checks"].remove("courtyard_two")
+    kept = ["studio", "courtyard_mono"]
+    tiny_content["scenes"] = {name: tiny_content["scenes"][name] for name in kept}
+    tiny_content["checks"] = kept
     for section in ("warmups", "runs", "learning_curves", "self_checks"):
         entries = tiny_content[section].items()
-        tiny_content[section] = {k: v for k, v in entries if v["scene"] != "courtyard_two"}
+        tiny_content[section] = {k: v for k, v in entries if v["scene"] in kept}
     tiny_content["scenes"]["courtyard_mono"]["clip"]["root"] = "${POSE2SIM_ROOT:-footage}"
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from deblur_avatar.cli import video as video_command
 from deblur_avatar.cli.main import main
 from deblur_avatar.cli.video import name_of, prepare
 from deblur_avatar.config.reading import load_params
@@ -180,10 +181,13 @@ def test_the_self_check_has_the_last_word(root, video, monkeypatch, caplog, valu
         return subprocess.CompletedProcess(command, 0)
 
     monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(video_command, "write_page", lambda folder, name, out: out.write_text(name))
     with caplog.at_level(logging.INFO):
         assert main(["video", str(video), "--name", "anna"]) == 0
     assert caplog.messages[-1].startswith(last)
     assert ("look at the masks" in caplog.text) == (value < 0.5)
+    assert (root / "avatars/anna/avatar.html").read_text() == "anna-lean"
+    assert "Turn it by hand: avatars/anna/avatar.html" in caplog.messages
 
 
 def test_a_missing_video_is_one_clear_line(tmp_path: Path):

@@ -18,7 +18,7 @@ EXPORTER = parse(ExportParams, {"format": "npz"}, "export")
 
 def run_of(painted, observations, poses) -> FittedRun:
     motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
-    return FittedRun(painted().to_artifact(1), motion, observations)
+    return FittedRun("capsules-lean", painted().to_artifact(1), motion, observations)
 
 
 def test_the_file_drives_a_body_as_the_fit_did(painted, observations, swinging, body, tmp_path):
@@ -38,11 +38,14 @@ def test_the_file_drives_a_body_as_the_fit_did(painted, observations, swinging, 
     torch.testing.assert_close(there[:, keep], here[:, keep], atol=1e-5, rtol=0)
 
 
-def test_the_file_has_amass_keys_and_stands_on_plus_z(painted, observations, swinging, tmp_path):
+def test_the_file_has_amass_keys_a_licence_and_stands_on_plus_z(
+    painted, observations, swinging, tmp_path
+):
     EXPORTER.export(run_of(painted, observations, swinging(5, 8.0)), tmp_path / "motion.npz")
     with np.load(tmp_path / "motion.npz", allow_pickle=False) as content:
         assert content["poses"].shape == (5, 72)
         assert content["trans"].shape == (5, 3)
+        assert str(content["licence"]) == observations.body.licence
         assert content["betas"].shape == observations.poses.betas.shape
         assert float(content["mocap_framerate"]) == pytest.approx(60, rel=1e-5)
         # Someone upright turns SMPL's +Y to the world's +Z: a quarter turn about X.

@@ -11,7 +11,8 @@ from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.posed_gaussians import axes_of
-from deblur_avatar.exports.registry import ExportParams
+from deblur_avatar.exports.registry import EXPORTERS, ExportParams
+from deblur_avatar.exports.upright import upright_of
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.rendering.covariances import covariances
@@ -23,7 +24,7 @@ SIZE = 96
 
 def run_of(model, observations, poses) -> FittedRun:
     motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
-    return FittedRun(model.to_artifact(1), motion, observations)
+    return FittedRun("capsules-lean", model.to_artifact(1), motion, observations)
 
 
 def read_splats(path):
@@ -54,20 +55,50 @@ def test_another_programs_picture_of_the_file_is_the_avatars(
     model, poses = painted(count=600), swinging(5, 35.0)  # a shoulder whose blended skin stretches
     path = tmp_path / "pose.ply"
     exporter = parse(ExportParams, {"format": "ply", "frame": frame}, "export")
-    exporter.export(run_of(model, observations, poses), path)
+    run = run_of(model, observations, poses)
+    exporter.export(run, path)
     splats = read_splats(path)
     assert len(splats["means"]) == 600
     K, viewmat = front.Ks[0].clone(), front.viewmats[0]
     K[:2] *= SIZE / 24
+    axes = upright_of(run).for_splats()  # the same camera, in the file's axes
+    camera_from_file = viewmat.clone()
+    camera_from_file[:3, :3] = viewmat[:3, :3] @ axes.rotation.T
+    camera_from_file[:3, 3] += viewmat[:3, :3] @ axes.origin
     ours, _ = render_avatar(model, poses.at([frame]), Camera(K, viewmat, SIZE, SIZE))
     theirs = rasterize(
-        splats["means"][None], splats["covars"], splats["opacities"], splats["colors"], viewmat, K,
+        splats["means"][None], splats["covars"], splats["opacities"], splats["colors"],
+        camera_from_file, K,
         SIZE, SIZE,
     )  # fmt: skip
     assert ours.amax() > 0.5
     assert psnr(theirs.image.clamp(0, 1), ours) >= 50
     other, _ = render_avatar(model, poses.at([4 - frame]), Camera(K, viewmat, SIZE, SIZE))
     assert psnr(theirs.image.clamp(0, 1), other) < 30
+
+
+def test_a_viewer_with_y_down_sees_the_person_upright(painted, observations, swinging, tmp_path):
+    run = run_of(painted(count=600), observations, swinging(5, 8.0))
+    parse(ExportParams, {"format": "ply", "frame": 0}, "export").export(run, tmp_path / "a.ply")
+    low, high = read_splats(tmp_path / "a.ply")["means"][:, 1].aminmax()
+    assert -2.1 < float(low) < -1.4  # the head
+    assert -0.1 < float(high) < 0.2  # the feet
+    assert "part of deblur-avatar" in (tmp_path / "a.ply").read_bytes()[:200].decode("latin1")
+
+
+def test_a_sequence_is_one_file_a_frame(painted, observations, swinging, tmp_path):
+    run = run_of(painted(), observations, swinging(5, 8.0))
+    options = {"format": "ply_sequence", "motion": "own", "fps": 30.0, "seconds": 1.0}
+    parse(ExportParams, options, "export").export(run, tmp_path / "clip")
+    files = sorted((tmp_path / "clip").iterdir())
+    assert [file.name for file in files] == [f"frame_{index:04d}.ply" for index in range(5)]
+    for frame in (0, 4):
+        one = parse(ExportParams, {"format": "ply", "frame": frame}, "export")
+        one.export(run, tmp_path / "one.ply")
+        torch.testing.assert_close(
+            read_splats(files[frame])["means"],
+            read_splats(tmp_path / "one.ply")["means"], atol=1e-5, rtol=0,
+        )  # fmt: skip
 
 
 def test_colours_that_are_averaged_as_light_are_written_as_srgb(
@@ -116,7 +147,9 @@ def test_what_cannot_be_written_is_refused(painted, observations, swinging, tmp_
     (tmp_path / "file").touch()
     with pytest.raises(ArtifactError, match="cannot write"):
         exporter.export(run, tmp_path / "file" / "a.ply")
-    with pytest.raises(ConfigError, match="no format of this name, there is ply, npz"):
+    with pytest.raises(
+        ConfigError, match="no format of this name, there is " + ", ".join(EXPORTERS)
+    ):
         parse(ExportParams, {"format": "obj"}, "export")
 
 

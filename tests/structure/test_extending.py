@@ -124,7 +124,9 @@ def test_the_avatar_is_fitted_saved_evaluated_and_animated(
     frames = animate(model, "builtin:jumping_jacks", seconds=0.1, size=16)
     assert frames.float().std() > 0
     with pytest.raises(ConfigError, match="kind balls has no Gaussians"):
-        PlyExport(format="ply", frame=0).export(FittedRun(avatar, motion, seen), tmp_path / "x")
+        PlyExport(format="ply", frame=0).export(
+            FittedRun("run", avatar, motion, seen), tmp_path / "x"
+        )
 
 
 def test_the_source_is_loaded_by_name(shown, body: Body, monkeypatch) -> None:
@@ -155,7 +157,7 @@ def test_the_format_is_written_by_name(shown, scene: Scene, tmp_path: Path, monk
     monkeypatch.setitem(EXPORTERS, "xyz", shown["XyzExport"])
     exporter = parse(ExportParams, {"format": "xyz"}, "export")
     path = tmp_path / "lean.xyz"
-    exporter.export(FittedRun(scene.avatar, scene.motion, scene.observations), path)
+    exporter.export(FittedRun("run", scene.avatar, scene.motion, scene.observations), path)
     rows = [list(map(float, line.split())) for line in path.read_text().splitlines()]
     torch.testing.assert_close(torch.tensor(rows), scene.avatar.means, atol=1e-6, rtol=0)
 

@@ -1,0 +1,63 @@
+"""Avatar page: the exporter. Python packs numbers, JavaScript beside it poses and draws them.
+
+The scripts are classic parts of one module, put together in the order of `SCRIPTS`; a page loads
+nothing. Equal runs give equal bytes.
+"""
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import jinja2
+from pydantic import Field
+
+from deblur_avatar import run as stage
+from deblur_avatar.config.section import Params, Positive
+from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.exports.page.content import Shown, page_payload
+from deblur_avatar.exports.rigged import rigged_avatar
+from deblur_avatar.exports.shown_motion import shown_motions
+
+FOLDER = Path(__file__).parent
+SCRIPTS = (
+    "payload.js", "kinematics.js", "gaussians.js", "renderer.js", "view.js", "state.js", "stage.js",
+    "clip.js", "page.js",
+)  # fmt: skip
+
+
+class PageExport(Params):
+    """Which motions the avatar can be shown in, and how many filmed frames go with it."""
+
+    suffix: ClassVar[str] = ".html"
+
+    format: Literal["page"]
+    motions: tuple[str, ...]  # own, builtin:<name> or files
+    fps: Positive  # frames a second of motions that were not filmed
+    seconds: Positive  # longest duration of these
+    pictures: Annotated[int, Field(ge=0)]  # filmed frames, evenly spaced
+
+    def export(self, run: FittedRun, path: Path) -> None:
+        """Write the page of a run, and of the one beside it, if there is one."""
+        stage.write_bytes(path, self.page([run] if run.beside is None else [run, run.beside]))
+
+    def page(self, runs: list[FittedRun]) -> bytes:
+        """The whole file."""
+        shown = [
+            Shown(run, rigged_avatar(run), shown_motions(run, self.motions, self.fps, self.seconds))
+            for run in runs
+        ]
+        environment = jinja2.Environment(
+            loader=jinja2.FileSystemLoader(FOLDER),
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+        )
+        counts = " and ".join(f"{len(avatar.rig.means):,}" for avatar in shown)
+        text = environment.get_template("page.html.jinja").render(
+            name=" | ".join(run.name for run in runs),
+            summary=f"{counts} Gaussians, averaged in {shown[0].rig.averaging_space}",
+            avatars=[run.name for run in runs],
+            licence=f"Body: {runs[0].observations.body.licence}",
+            style=(FOLDER / "page.css").read_text(),
+            script="\n".join((FOLDER / name).read_text() for name in SCRIPTS),
+            payload=page_payload(shown, self.pictures),
+        )
+        return (text + "\n").encode()

@@ -1,0 +1,108 @@
+"""Shown motion: what an exported avatar does, in the world that the person was filmed in.
+
+Conventions. Times are seconds from the motion's first frame, in order, not always evenly spaced.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deblur_avatar.animation.driving_motion import turn_between
+from deblur_avatar.animation.motion_files import BUILTIN, read_motion
+from deblur_avatar.animation.placement import place
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.exports.exporter import FittedRun
+
+OWN = "own"  # the motion that was filmed
+
+
+@dataclass(frozen=True)
+class ShownMotion:
+    """Poses over time."""
+
+    name: str  # that a link can hold
+    label: str  # that a person reads
+    times: Float[Tensor, " F"]
+    poses: Poses
+
+
+def shown_motions(
+    run: FittedRun, names: Sequence[str], fps: float, seconds: float
+) -> list[ShownMotion]:
+    """The motions of these names, in their order.
+
+    Args:
+        run: whose avatar is to move.
+        names: `own`, `builtin:<name>` or files (`animation/motion_files.py`).
+        fps: frames a second of what was not filmed.
+        seconds: longest duration of what was not filmed.
+
+    Raises:
+        ConfigError: if there is no such motion, a name is there twice, or the person cannot be
+            placed.
+        ArtifactError: if a file is damaged.
+    """
+    if not names or len(set(names)) != len(names):
+        raise ConfigError(f"export: motions must be named, each once, got {list(names)}")
+    return [
+        filmed_motion(run) if name == OWN else _driven(run, name, fps, seconds) for name in names
+    ]
+
+
+def filmed_motion(run: FittedRun) -> ShownMotion:
+    """The fitted motion at the middle of every exposure."""
+    times = run.motion.timestamps.double()
+    poses = dataclasses.replace(run.motion.centre, betas=run.avatar.betas)
+    return ShownMotion(OWN, "As filmed", (times - times[0]).float(), poses)
+
+
+def _driven(run: FittedRun, name: str, fps: float, seconds: float) -> ShownMotion:
+    observations = run.observations
+    filmed = dataclasses.replace(observations.poses, betas=run.avatar.betas)
+    motion = read_motion(
+        name, observations.body, run.avatar.betas, fps=fps, start=0.0, seconds=seconds
+    )
+    viewmat = observations.cameras.viewmats[observations.train_camera]
+    try:
+        poses = place(motion, observations.body, filmed, viewmat, turns=0.0, travel=1.0)
+    except ValueError as error:
+        raise ConfigError(f"export: {name}: {error}") from None
+    known = name.removeprefix(BUILTIN) if name.startswith(BUILTIN) else Path(name).stem
+    label = known.replace("_", " ").capitalize()
+    times = torch.arange(len(poses.transl)) / motion.fps
+    return ShownMotion(known, label, times, poses)
+
+
+def even_motion(run: FittedRun, name: str, fps: float, seconds: float) -> tuple[ShownMotion, float]:
+    """One motion at an even rate, and that rate: its mean one, if it was filmed.
+
+    Raises:
+        ConfigError: as `shown_motions`, and if a filmed motion is one frame.
+        ArtifactError: if the motion's file is damaged.
+    """
+    (motion,) = shown_motions(run, [name], fps, seconds)
+    if name != OWN:
+        return motion, fps
+    times = motion.times.double()
+    if len(times) < 2:
+        raise ConfigError("export: a motion of one frame has no frame rate")
+    rate = float((len(times) - 1) / times[-1])
+    wanted = torch.arange(len(times)).double() / rate
+    after = torch.searchsorted(times, wanted).clamp(1, len(times) - 1)
+    before = after - 1
+    share = ((wanted - times[before]) / (times[after] - times[before])).clamp(0, 1).float()
+    poses = motion.poses
+    turned = turn_between(poses.axis_angle[before], poses.axis_angle[after], share)
+    even = Poses(
+        betas=poses.betas,
+        global_orient=turned[:, 0],
+        body_pose=turned[:, 1:],
+        transl=torch.lerp(poses.transl[before], poses.transl[after], share[:, None]),
+    )
+    return dataclasses.replace(motion, times=wanted.float(), poses=even), rate

@@ -1,0 +1,84 @@
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from deblur_avatar.avatars.plain_avatar import PlainAvatar
+from deblur_avatar.config.reading import parse
+from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.exports.page.export import PageExport
+from deblur_avatar.exports.registry import ExportParams
+from deblur_avatar.motion.frame import FixedMotion
+from tests.exports.browser import chromium, silent_page
+
+PAGE = {
+    "format": "page",
+    "motions": ["own", "builtin:jumping_jacks"],
+    "fps": 30.0,
+    "seconds": 1.2,
+    "pictures": 3,
+}
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    with silent_page(browser, 800, 600) as opened:
+        yield opened
+
+
+@pytest.fixture
+def page_exporter() -> PageExport:
+    exporter = parse(ExportParams, PAGE, "export")
+    assert isinstance(exporter, PageExport)
+    return exporter
+
+
+@pytest.fixture
+def rough(painted: Callable[..., PlainAvatar]) -> Callable[..., PlainAvatar]:
+    """An avatar of Gaussians of all shapes, no two of which are equally far from any camera."""
+
+    def make(averaging_space: str = "srgb", count: int = 600) -> PlainAvatar:
+        model = painted(averaging_space=averaging_space, count=count)
+        generator = torch.Generator().manual_seed(5)
+        with torch.no_grad():
+            for values, size in (
+                (model.gaussians.means, 0.01),
+                (model.gaussians.quats, 0.5),
+                (model.gaussians.log_scales, 0.4),
+                (model.gaussians.opacity_logits, 2.0),
+            ):
+                values.add_(size * torch.randn(values.shape, generator=generator))
+            # The page knows no early end: behind what is nearly opaque a Gaussian may count or not.
+            model.gaussians.opacity_logits.clamp_(max=4.0)
+        model.invalidate_neighbours()
+        return model
+
+    return make
+
+
+@pytest.fixture
+def fitted_run(observations, swinging) -> Callable[..., FittedRun]:
+    """A run that left this avatar, moving as in the observations but farther."""
+
+    def make(model: PlainAvatar, name: str = "capsules-lean", **others: Any) -> FittedRun:
+        poses = swinging(5, 35.0)
+        motion = FixedMotion(poses).to_artifact(poses.betas, observations.timestamps)
+        return FittedRun(name, model.to_artifact(1), motion, observations, **others)
+
+    return make
+
+
+@pytest.fixture
+def page_file(rough, fitted_run, page_exporter, tmp_path: Path) -> Path:
+    """The page of one avatar."""
+    path = tmp_path / "avatar.html"
+    page_exporter.export(fitted_run(rough()), path)
+    return path
