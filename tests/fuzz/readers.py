@@ -96,6 +96,7 @@ def _write_parameters(folder: Path) -> None:
     below = {section: {key: content[section][key]} for section, key in used.items()}
     below |= {"check": content["check"], "animations": {}, "predeblur": {}}
     below |= {"from": content["from"], "checks": [], "learning_curves": {}, "reports": []}
+    below |= {"without_pictures": []}
     above = {"shared": "below.yaml", "seed": 0, "snapshots": 0, "schedule": content["schedule"]}
     (folder / "below.yaml").write_text(json.dumps(below, indent=1))
     (folder / "params.yaml").write_text(json.dumps(above, indent=1))
