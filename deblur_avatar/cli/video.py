@@ -243,6 +243,7 @@ def _with_method(content: dict[str, Any], name: str, method: str, avatar: str) -
             "checks": [name],
             "learning_curves": {},
             "reports": ["reports"],
+            "without_pictures": [],
         }
         | content
         | {

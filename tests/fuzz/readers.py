@@ -101,6 +101,7 @@ def _write_parameters(folder: Path) -> None:
         "learning_curves": {},
         "self_checks": {},
         "reports": [],
+        "without_pictures": [],
     }
     above = {"shared": "below.yaml", "seed": 0, "snapshots": 0, "schedule": content["schedule"]}
     (folder / "below.yaml").write_text(json.dumps(below, indent=1))
