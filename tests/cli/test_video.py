@@ -70,6 +70,10 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     assert changed["runs"]["anna-lean"]["avatar"] == "lean"
     assert changed["runs"]["anna-agnostic"]["avatar"] == "paper"
     assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
+    assert "avatar.html" in changed["exports"]["anna-lean"]["files"]
+    assert set(changed["exports"]["anna-agnostic"]["files"]) == {
+        "rig.glb", "pose.ply", "motion.bvh", "motion.npz",
+    }  # fmt: skip
 
 
 def test_one_name_is_one_video(root: Path, video: Path):
@@ -160,7 +164,8 @@ def test_the_check_comes_before_the_training(root, video, monkeypatch):
     (root / "stages").mkdir()
     assert main(["video", str(video), "--name", "anna"]) == 3
     assert asked == [
-        "check@anna", "self_check@anna-lean", "animate@anna-lean", "evaluate@anna-lean",
+        "check@anna", "self_check@anna-lean", "export@anna-lean", "animate@anna-lean",
+        "evaluate@anna-lean",
     ]  # fmt: skip
 
 
