@@ -23,8 +23,9 @@ $(STAMP): pyproject.toml constraints.txt
 	  anny roma mediapipe
 	@touch $(STAMP)
 
+# All scenes but those that take long; SCENES="street street_given" makes these alone.
 repro: code
-	$(BIN)/deblur-avatar repro
+	$(BIN)/deblur-avatar repro $(if $(SCENES),--scenes $(SCENES))
 
 # From a video (or a folder of pictures) to an avatar: make avatar VIDEO=clip.mp4 [NAME=...] [METHOD=lean]
 # [SCHEDULE=medium]

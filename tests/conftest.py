@@ -164,6 +164,13 @@ def tiny_parameters() -> dict[str, Any]:
     ends = {"warmup": 6, "trajectory": 12, "fusion": 18}
     content["schedule"], content["snapshots"] = "tiny", 0
     content["schedules"] = {"tiny": ends | {"gaussians": 80, "image_height": SIZE}}
+    for name in content["on_request"]:
+        del content["scenes"][name]
+    kept = content["scenes"]
+    content["checks"], content["on_request"] = list(kept), []
+    for section in ("warmups", "runs", "learning_curves", "animations", "self_checks"):
+        entries = content[section].items()
+        content[section] = {name: entry for name, entry in entries if entry["scene"] in kept}
     return content
 
 

@@ -10,6 +10,7 @@ rig_arrays: Gaussians, joints and weights as numpy arrays, for programs of your 
 
 import argparse
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params, parse, read_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.exports.exporter import Exporter, FittedRun
 from deblur_avatar.exports.registry import EXPORTERS, ExportParams
 
 logger = logging.getLogger(__name__)
@@ -67,11 +68,7 @@ def run(asked: argparse.Namespace) -> int:
         ConfigError: if there is no such run, or the options do not fit the format or the run.
         ArtifactError: if the run was not made yet, or the file cannot be written.
     """
-    given = {name: getattr(asked, name) for name in DEFAULTS}
-    known = EXPORTERS[asked.format].__annotations__
-    options = {name: value for name, value in DEFAULTS.items() if name in known}
-    options |= {name: value for name, value in given.items() if value is not None}
-    exporter = parse(ExportParams, {"format": asked.format, **options}, "export")
+    exporter = _exporter(asked.format, {name: getattr(asked, name) for name in DEFAULTS})
     if asked.out.suffix != exporter.suffix:
         wanted = (
             f"file of this format ends in {exporter.suffix}"
@@ -88,6 +85,14 @@ def run(asked: argparse.Namespace) -> int:
     files = asked.out.rglob("*") if asked.out.is_dir() else [asked.out]
     logger.info("%s: %.1f MB", asked.out, sum(file.stat().st_size for file in files) / 1e6)
     return 0
+
+
+def _exporter(kind: str, given: Mapping[str, Any]) -> Exporter:
+    """The exporter of a format; an option that is not given, or None, is as in `DEFAULTS`."""
+    known = EXPORTERS[kind].__annotations__
+    options = {name: value for name, value in DEFAULTS.items() if name in known}
+    options |= {name: value for name, value in given.items() if value is not None}
+    return parse(ExportParams, {"format": kind, **options}, "export")
 
 
 def find_run(text: str) -> tuple[Path, str]:

@@ -18,6 +18,7 @@ COMMANDS = {
     "check": "say whether scenes are fit for training",
     "repro": "run the whole pipeline as far as this machine has the footage",
     "report": "write the report over the results there are",
+    "film": "write the video of a street scene",
     "export": "write a fitted run as a file that other programs open",
 }
 

@@ -1,16 +1,18 @@
 """Run the whole pipeline as far as this machine has the footage.
 
-Scenes whose files are missing are named and left out; everything else is reproduced, and the report
-is written over all results there are.
+Scenes whose files are missing are named and left out, and those that take long (`on_request`) wait
+to be asked for; everything else is reproduced, and the report is written over all results.
 """
 
 import argparse
 import logging
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from deblur_avatar.cli.report import show_report
 from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.config.reading import load_params, read_yaml
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.parameters import SceneParams, check_parameters
 from deblur_avatar.pipeline.body import BodyParams
 
@@ -37,8 +39,24 @@ def missing_footage(params_file: Path) -> dict[str, str]:
     return missing
 
 
-def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
-    """What to ask DVC for: nothing (all of it), or the last stages of scenes that can be made."""
+def not_asked_for(params_file: Path, asked: Sequence[str]) -> dict[str, str]:
+    """Scenes to leave out, each with the reason: those on request, or all but those asked for.
+
+    Raises:
+        ConfigError: if a scene asked for, or said to be on request, is not there.
+    """
+    scenes = load_params(params_file, "scenes", dict)
+    on_request = load_params(params_file, "on_request", list[str])
+    for name in [*asked, *on_request]:
+        if name not in scenes:
+            raise ConfigError(f"no scene {name!r}, there is {', '.join(scenes)}")
+    if asked:
+        return {name: "it was not asked for" for name in scenes if name not in asked}
+    return {name: f"it takes long; --scenes {name} makes it" for name in on_request}
+
+
+def targets(params_file: Path, missing: Collection[str]) -> list[str]:
+    """What to ask DVC for: nothing (all of it), or the last stages of scenes that are made."""
     if not missing:
         return []
     runs = read_yaml(params_file)["runs"]
@@ -62,13 +80,16 @@ def targets(params_file: Path, missing: dict[str, str]) -> list[str]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """None."""
+    """Of the subcommand."""
+    parser.add_argument(
+        "--scenes", nargs="*", default=[], help="of params.yaml; default: all but those on request"
+    )
 
 
 def run(asked: argparse.Namespace) -> int:
     """Reproduce, then write and print the report's table; returns DVC's exit code."""
     check_checkout(Path())
-    missing = missing_footage(PARAMS)
+    missing = not_asked_for(PARAMS, asked.scenes) | missing_footage(PARAMS)
     for scene, reason in missing.items():
         logger.warning("scene %s is left out: %s", scene, reason)
     wanted = targets(PARAMS, missing)

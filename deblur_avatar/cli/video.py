@@ -31,6 +31,7 @@ from deblur_avatar.sources.footage import read_footage
 logger = logging.getLogger(__name__)
 
 AVATARS, PARAMS, UP = Path("avatars"), "params.yaml", "../.."
+PAGE = "avatar.html"
 BODY, PLAIN = "anny", "plain"
 DEFAULT_AVATAR = "paper"
 ADDED_TO = (
@@ -134,13 +135,22 @@ def run(asked: argparse.Namespace) -> int:
     run = f"{folder.name}-{asked.method}"
     logger.info("The check:    %s/data/check/%s/index.html", folder, folder.name)
     logger.info("The avatar:   %s/data/fusion/%s/avatar", folder, run)
-    if (page := folder / "data/export" / run / "avatar.html").is_file():
-        logger.info("The page:     %s", page)
     logger.info("All round:    %s/data/animate/%s/video.mp4 and contact_sheet.png", folder, run)
     logger.info("The self-check: %s/data/self_check/%s/index.html", folder, run)
     logger.info("The report:   %s/reports/index.html", folder)
+    _show_page(folder, run)
     _tell_verdict(folder / "metrics/self_check" / f"{run}.json")
     return 0
+
+
+def _show_page(folder: Path, run: str) -> None:
+    """The avatar as a page for any browser, of avatars that can be shown on one."""
+    page, made = folder / PAGE, folder / "data/export" / run / PAGE
+    if made.is_file():
+        shutil.copyfile(made, page)
+        logger.info("Turn it by hand: %s", page)
+    else:
+        logger.info("No page: an avatar with networks fits on none; --method lean makes one")
 
 
 def _tell_verdict(path: Path) -> None:
@@ -224,7 +234,7 @@ def _files(kind: str) -> dict[str, Any]:
     """What other programs open of an avatar of this kind; a page, where it has no networks."""
     motion = {"fps": 30.0, "seconds": 8.0}
     motions = {"motions": ["own", "builtin:jumping_jacks"], **motion}
-    page = {"avatar.html": {"format": "page", **motions, "pictures": 12}}
+    page = {PAGE: {"format": "page", **motions, "pictures": 12}}
     return (page if kind == PLAIN else {}) | {
         "rig.glb": {"format": "gltf_rig", **motions},
         "pose.ply": {"format": "ply", "frame": 0},

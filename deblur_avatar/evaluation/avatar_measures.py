@@ -83,24 +83,26 @@ def filmed_looks(
 def turntable(model: AvatarModel, observations: Observations, motion: Motion) -> list[Look]:
     """The avatar from all sides, each in the pose of another training frame."""
     chosen = spaced(observations.train, SIDES)
+    body = observations.body
+    joints = posed(body, motion.centre.at(list(observations.train))).joints
+    trunks = joints[:, body.joint_names.index("neck")] - joints[:, 0]
+    up = torch.nn.functional.normalize(trunks.mean(0), dim=0)  # a leaning person stands on average
     looks = []
     for side in range(SIDES):
         poses = motion.centre.at([chosen[side * len(chosen) // SIDES]])
-        camera = _beside(observations, poses, 2 * np.pi * side / SIDES)
+        camera = _beside(observations, poses, 2 * np.pi * side / SIDES * up)
         image, alpha = render_avatar(model, poses, camera)
         distance = silhouette_distance(observations.body, poses, camera)
         looks.append(Look(image[0].cpu(), alpha[0].cpu(), distance))
     return looks
 
 
-def _beside(observations: Observations, poses: Poses, angle: float) -> Camera:
+def _beside(observations: Observations, poses: Poses, angle: Float[Tensor, " 3"]) -> Camera:
     """The training camera, walked round the person and framed with room to spare."""
     surface = posed(observations.body, poses)
     pelvis = surface.joints[0, 0]
-    neck = surface.joints[0, observations.body.joint_names.index("neck")]
-    up = torch.nn.functional.normalize(neck - pelvis, dim=0)
     turn = torch.eye(4)
-    turn[:3, :3] = axis_angle_to_matrix(angle * up)
+    turn[:3, :3] = axis_angle_to_matrix(angle)
     turn[:3, 3] = pelvis - turn[:3, :3] @ pelvis
     camera = observations.camera
     viewmat = camera.viewmat @ turn

@@ -1,19 +1,23 @@
 """Scores of a test view: the avatar's render against the ground truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.evaluation.instants import pose_at
 from deblur_avatar.evaluation.metrics import ImagePair, scores
+from deblur_avatar.evaluation.registration import registered
 from deblur_avatar.evaluation.truth_views import TruthView
+from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.color import srgb_to_linear
 
 
@@ -33,9 +37,9 @@ def compare(
     observations: Observations,
     reference: Reference,
     view: TruthView,
-    poses: Poses,
+    pose: Poses,
 ) -> Comparison:
-    """Render one test view in the pose that `poses` has for it, and score it.
+    """Render one test view in its pose, and score it.
 
     Colours take the latent code of the frame if it was trained on, else of the last one
     that was (as 3DGS-Avatar does).
@@ -43,8 +47,8 @@ def compare(
     trained = view.position in observations.train
     image, alpha = render_avatar(
         model,
-        poses.at([view.position]),
-        observations.cameras.camera(view.camera),
+        pose,
+        _camera_of(observations, reference, view, pose),
         frame=view.position if trained else max(observations.train),
         background=_background(reference, model),
     )
@@ -61,6 +65,32 @@ def compare(
         difference=pair.flip_map[0],
         scores={name: float(values) for name, values in scores(pair).items()},
     )
+
+
+def pose_of_view(observations: Observations, motion: Motion, view: TruthView) -> Poses:
+    """The pose that a fitted motion has for the instant that a test view shows."""
+    body, exposure = observations.body, observations.exposure
+    return pose_at(body, motion, exposure, view.position, view.offset)
+
+
+def _camera_of(
+    observations: Observations, reference: Reference, view: TruthView, pose: Poses
+) -> Camera:
+    """The view's camera; where the world was estimated, brought to the pose that is seen."""
+    camera = observations.cameras.camera(view.camera)
+    true = None if view.viewmat is None else true_poses(observations, reference)
+    if view.viewmat is None or true is None:
+        return camera
+    here = true.at([view.position])
+    return replace(camera, viewmat=registered(view.viewmat, observations.body, pose, here))
+
+
+def true_poses(observations: Observations, reference: Reference) -> Poses | None:
+    """True poses at the middle of each exposure: the nearest samples."""
+    if reference.motion is None or reference.motion_times is None:
+        return None
+    distance = reference.motion_times[None] - observations.timestamps[:, None]
+    return reference.motion.at(distance.abs().argmin(1))
 
 
 def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:

@@ -5,9 +5,7 @@ Frames set aside for validation were not fitted. Where a trajectory does not kno
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -18,11 +16,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
-from deblur_avatar.geometry.rotations import (
-    axis_angle_to_quat,
-    quat_to_axis_angle,
-    slerp,
-)
+from deblur_avatar.evaluation.instants import between, exposure_of, joints_apart
 from deblur_avatar.imaging.metrics import psnr
 from deblur_avatar.motion.kinds import kind_of
 
@@ -80,34 +74,16 @@ def poses_of_exposure(body: Body, motion: Motion, position: int, train: Sequence
     brings its joints nearer to the first's.
     """
     if kind_of(motion).knows_unfitted or position in train:
-        return _row(motion, position)
+        return exposure_of(motion, position)
     before = [index for index in train if index < position]
     after = [index for index in train if index > position]
     if not before or not after:
-        return _row(motion, before[-1] if before else after[0])
-    start, end = _row(motion, before[-1]), _row(motion, after[0])
+        return exposure_of(motion, before[-1] if before else after[0])
+    start, end = exposure_of(motion, before[-1]), exposure_of(motion, after[0])
     backward = end.at(list(reversed(range(len(end.transl)))))
     here = posed(body, start).joints
-    if _distance(here, posed(body, backward).joints) < _distance(here, posed(body, end).joints):
+    if joints_apart(here, posed(body, backward).joints) < joints_apart(
+        here, posed(body, end).joints
+    ):
         end = backward
-    return _between(start, end, (position - before[-1]) / (after[0] - before[-1]))
-
-
-def _between(start: Poses, end: Poses, share: float) -> Poses:
-    first, second = (axis_angle_to_quat(poses.axis_angle) for poses in (start, end))
-    mixed = quat_to_axis_angle(slerp(first, second, torch.tensor([share]))[0])
-    transl = start.transl + share * (end.transl - start.transl)
-    return replace(start, global_orient=mixed[:, 0], body_pose=mixed[:, 1:], transl=transl)
-
-
-def _row(motion: Motion, position: int) -> Poses:
-    return Poses(
-        betas=motion.centre.betas,
-        global_orient=motion.global_orient[position],
-        body_pose=motion.body_pose[position],
-        transl=motion.transl[position],
-    )
-
-
-def _distance(a: Float[Tensor, "S J 3"], b: Float[Tensor, "S J 3"]) -> float:
-    return float((a - b).square().sum())
+    return between(start, end, (position - before[-1]) / (after[0] - before[-1]))

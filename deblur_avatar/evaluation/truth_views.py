@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar import run
@@ -40,6 +40,8 @@ class TruthView:
     image: UInt8[Tensor, "H W 3"]
     foreground: Bool[Tensor, "H W"]
     seen: Bool[Tensor, "H W"]
+    viewmat: Float[Tensor, "4 4"] | None = None  # relative to the true motion; None: the camera's
+    offset: float = 0.0  # seconds from the middle of the frame's exposure
 
 
 def truth_views(observations: Observations, reference: Reference) -> list[TruthView]:
@@ -99,20 +101,23 @@ def _prepare(
     seen: Bool[Tensor, "H W"],
 ) -> TruthView:
     camera = int(reference.camera_indices[view])
-    foreground = _cut(observations, camera, reference.mattes[view]) > INSIDE
+    foreground = cut_as_observed(observations, camera, reference.mattes[view]) > INSIDE
     return TruthView(
         camera=camera,
         position=position,
         novel_pose=novel_pose,
-        image=_cut(observations, camera, reference.images[view]),
+        viewmat=None if reference.viewmats is None else reference.viewmats[view],
+        offset=0.0 if reference.offsets is None else float(reference.offsets[view]),
+        image=cut_as_observed(observations, camera, reference.images[view]),
         foreground=foreground,
         seen=seen & foreground,
     )
 
 
-def _cut(
+def cut_as_observed(
     observations: Observations, camera: int, image: UInt8[Tensor, "h w *channels"]
 ) -> UInt8[Tensor, "H W *channels"]:
+    """A picture of one camera of the clip, in the pixels of the observations."""
     x, y, width, height = (round(float(value)) for value in observations.crops[camera])
     crop: Crop = (x, y, width, height)
     return crop_and_scale(image[None], crop, size_of(observations, camera))[0]
@@ -133,7 +138,10 @@ def _seen_masks(
     """
     shown = reference.camera_indices.tolist()
     if reference.seen is not None:
-        return [_cut(observations, shown[v], reference.seen[v]) > INSIDE for v, _, _ in chosen]
+        return [
+            cut_as_observed(observations, shown[v], reference.seen[v]) > INSIDE
+            for v, _, _ in chosen
+        ]
     faces = observations.body.faces.numpy()
     vertices = [mesh.numpy() for mesh in posed_meshes(observations.body, observations.poses)]
     cameras = observations.cameras

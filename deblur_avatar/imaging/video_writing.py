@@ -24,12 +24,17 @@ logger = logging.getLogger(__name__)
 # to the instructions of an older processor, with which it writes other bytes.
 X264_VARIABLE = "DEBLUR_AVATAR_X264"
 
-QUALITY = "18"  # x264's constant rate factor: differences are hard to see
+QUALITY = 18  # x264's constant rate factor: differences are hard to see
 BT709 = 1  # ITU-T H.273's number for HD television's primaries and matrix
 SRGB_CURVE = 13  # ITU-T H.273's number for sRGB's curve
 
 
-def write_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float) -> int:
+def write_video(
+    path: Path,
+    pictures: Iterable[UInt8[np.ndarray, "H W 3"]],
+    fps: float,
+    quality: int = QUALITY,
+) -> int:
     """Encode pictures in order, replacing `path` in one move: whole or not at all.
 
     Odd widths and heights, which the format cannot hold, get a column or row more (the last one
@@ -39,6 +44,7 @@ def write_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps:
         path: ends in `.mp4`.
         pictures: sRGB, all of one size.
         fps: pictures a second.
+        quality: x264's constant rate factor, from 0 (best) to 51.
 
     Returns:
         How many pictures were written.
@@ -51,7 +57,7 @@ def write_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps:
     scratch = path.with_name(f".{path.stem}.part.mp4")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        count = _encode(scratch, pictures, fps)
+        count = _encode(scratch, pictures, fps, quality)
         scratch.replace(path)
     except OSError as error:
         raise ArtifactError(f"cannot write video {path}: {error}") from error
@@ -61,7 +67,9 @@ def write_video(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps:
     return count
 
 
-def _encode(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float) -> int:
+def _encode(
+    path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float, quality: int
+) -> int:
     options = {"movflags": "+faststart", "fflags": "+bitexact"}
     with av.open(str(path), "w", format="mp4", options=options) as container:
         stream = None
@@ -69,7 +77,7 @@ def _encode(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: flo
         for count, picture in enumerate(pictures, start=1):
             even = np.pad(picture, [(0, n % 2) for n in picture.shape[:2]] + [(0, 0)], mode="edge")
             if stream is None:
-                stream = _open_stream(container, even, fps)
+                stream = _open_stream(container, even, fps, quality)
             if even.shape[:2] != (stream.height, stream.width):
                 raise ValueError(
                     f"picture {count} is {even.shape[1]} x {even.shape[0]} pixels, those before "
@@ -89,12 +97,16 @@ def _encode(path: Path, pictures: Iterable[UInt8[np.ndarray, "H W 3"]], fps: flo
 
 
 def _open_stream(
-    container: av.container.OutputContainer, picture: UInt8[np.ndarray, "H W 3"], fps: float
+    container: av.container.OutputContainer,
+    picture: UInt8[np.ndarray, "H W 3"],
+    fps: float,
+    quality: int,
 ) -> av.VideoStream:
     stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
     stream.height, stream.width = picture.shape[:2]
     stream.pix_fmt = "yuv420p"
-    options: dict[str, object] = {"crf": QUALITY, "threads": "1", "bf": "0", "flags": "+bitexact"}
+    options: dict[str, object] = {"crf": str(quality), "threads": "1", "bf": "0"}
+    options["flags"] = "+bitexact"
     if further := os.environ.get(X264_VARIABLE):
         options["x264-params"] = further
     stream.options = options

@@ -9,7 +9,7 @@ stay null here, so that evaluating one method never waits for another, and `repo
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -26,11 +26,18 @@ from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.evaluation.avatar_measures import silhouette_distance
 from deblur_avatar.evaluation.color_alignment import color_aligned
-from deblur_avatar.evaluation.comparisons import Comparison, compare, mean_scores
+from deblur_avatar.evaluation.comparisons import (
+    Comparison,
+    compare,
+    mean_scores,
+    pose_of_view,
+    true_poses,
+)
+from deblur_avatar.evaluation.estimated_steps import estimated_steps
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import nothing_recovered
-from deblur_avatar.evaluation.truth_views import truth_views
+from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 logger = logging.getLogger(__name__)
 
@@ -68,11 +75,17 @@ def evaluate(
     """
     model = avatar_from_artifact(avatar, observations.body, device)
     views = truth_views(observations, reference)
-    true = _true_poses(observations, reference)
+    true = true_poses(observations, reference)
     held_out = observations.poses if true is None else true
     comparisons = [
         compare(
-            model, observations, reference, view, held_out if view.novel_pose else motion.centre
+            model,
+            observations,
+            reference,
+            view,
+            held_out.at([view.position])
+            if view.novel_pose
+            else pose_of_view(observations, motion, view),
         )
         for view in run.progress(views, "test views")
     ]
@@ -90,18 +103,33 @@ def evaluate(
         "model": _size(avatar, motion, observations.train),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
+    steps = estimated_steps(observations, reference, motion, true)
+    if steps is not None:
+        content["steps"] = steps
+        content["in_true_poses"] = _in_true_poses(model, observations, reference, true, views)
     if reference.motion is None and novel_views:
         content |= _of_real_cameras(observations, motion, novel_views)
     fps = _render_fps(model, observations, motion)
     return Evaluation(content, comparisons, fps, as_computed(model.precision, device))
 
 
-def _true_poses(observations: Observations, reference: Reference) -> Poses | None:
-    """True poses at the middle of each exposure: the nearest samples."""
-    if reference.motion is None or reference.motion_times is None:
+def _in_true_poses(
+    model: AvatarModel,
+    observations: Observations,
+    reference: Reference,
+    true: Poses | None,
+    views: Sequence[TruthView],
+) -> dict[str, float | None] | None:
+    """What is left of the errors of pictures where the avatar takes the true poses: its own."""
+    if true is None:
         return None
-    distance = reference.motion_times[None] - observations.timestamps[:, None]
-    return reference.motion.at(distance.abs().argmin(1))
+    posed_alike = replace(true, betas=model.betas.cpu())
+    return mean_scores(
+        [
+            compare(model, observations, reference, view, posed_alike.at([view.position]))
+            for view in run.progress(views, "test views in true poses")
+        ]
+    )
 
 
 def _of_real_cameras(
@@ -116,8 +144,8 @@ def _of_real_cameras(
     ious: dict[str, list[float]] = {}
     for view in (comparison.view for comparison in comparisons):
         camera = observations.cameras.camera(view.camera)
-        poses = motion.centre.at([view.position])
-        body = silhouette_distance(observations.body, poses, camera) == 0
+        pose = pose_of_view(observations, motion, view)
+        body = silhouette_distance(observations.body, pose, camera) == 0
         person = view.foreground.numpy()
         ious.setdefault(names[view.camera], []).append(
             (body & person).sum() / (body | person).sum()

@@ -26,6 +26,7 @@ from deblur_avatar.body_estimation.fit_quality import measure_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
 from deblur_avatar.body_estimation.occluded_surface import occluded_fraction
 from deblur_avatar.body_estimation.person_choice import detect_main_person
+from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.config.section import (
     NonNegative,
@@ -53,7 +54,8 @@ class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
     poses: Literal["given", "estimated"]
-    masks: Literal["given", "estimated"]
+    # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
+    masks: Literal["given", "estimated", "swept"]
     background: BackgroundKind  # taken away behind a soft matte
     depth: Literal[
         "known", "unknown"
@@ -116,7 +118,7 @@ def preprocess(
     row = clip.recorded.index(clip.train_camera)
     people: list[Landmarks] = []
     kind = params.background
-    if "estimated" in (params.masks, params.poses):
+    if params.masks != "given" or params.poses == "estimated":
         people = _people(clip, params, detect)
         kind = background_of(kind, clip.frames[row], people[row].mattes).kind
         people = [_trimmed(f, p, kind) for f, p in zip(clip.frames, people, strict=True)]
@@ -127,6 +129,8 @@ def preprocess(
     crops, cameras = _crops(clip.cameras, body, track.poses, params.margin, image_height)
     crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
     background = background_of(kind, clip.frames[row], mattes)
+    if params.masks == "swept":
+        mattes = swept_mattes(mattes, clip, body, track.poses)
 
     def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
         if background.plates is not None:
@@ -137,8 +141,7 @@ def preprocess(
     cut = cut_out(clip.frames[row], mattes)
     comparable = None
     if background.plates is not None and background.has_gaps:
-        comparable = comparable_pixels(mattes, background.plates)
-        comparable = crop_and_scale(comparable, crop, size)
+        comparable = crop_and_scale(comparable_pixels(mattes, background.plates), crop, size)
     blurred = _observations(clip, body, params, track, shown, (*cut, comparable), crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
@@ -146,8 +149,7 @@ def preprocess(
         sharp = replace(blurred, frames=frames, mattes=cut_mattes, exposure=0.0)
         if clip.exact is not None:
             exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
-    metrics = _metrics(blurred, shown, track)
-    return Preprocessed(blurred=blurred, sharp=sharp, exact=exact, metrics=metrics)
+    return Preprocessed(blurred, sharp, exact, _metrics(blurred, shown, track))
 
 
 @dataclass(frozen=True)

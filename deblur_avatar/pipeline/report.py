@@ -138,15 +138,9 @@ def make_report(
         quiet=(NOT_MEASURED, NOT_KNOWN),
         repeated=repeated,
         scenes=[
-            {
-                "name": scene,
-                "facts": facts_of(
-                    _read(metrics / "blur" / f"{scene}.json"),
-                    _read(metrics / "preprocess" / f"{scene}.json"),
-                ),
+            _section(scene, results, strips[scene], metrics)
+            | {
                 "without_pictures": _without_pictures(scene, results, pictures),
-                "strips": [_on_page(strip) for strip in strips[scene]],
-                "tables": tables_of(results, _read(metrics / "preprocess" / f"{scene}.json")),
                 "animations": _animations(scene, results, shown),
             }
             for scene, results in scenes.items()
@@ -161,6 +155,19 @@ def make_report(
         self_check=_read(metrics / "self_check" / "cases.json"),
         log=_log(main),
     )
+
+
+def _section(
+    scene: str, results: Results, strips: Sequence[Strip], metrics: Path
+) -> dict[str, Any]:
+    """Facts, tables and strips of one scene."""
+    preprocess = _read(metrics / "preprocess" / f"{scene}.json")
+    return {
+        "name": scene,
+        "facts": facts_of(_read(metrics / "blur" / f"{scene}.json"), preprocess),
+        "strips": [_on_page(strip) for strip in strips],
+        "tables": tables_of(results, preprocess),
+    }
 
 
 def declared(scenes: Mapping[str, Results]) -> dict[str, Any]:

@@ -74,9 +74,10 @@ def draw_pictures(
         files["strip.png"] = _held_out_strip(files, index)
         files["turntable.png"] = turntable(avatar, observations, device)
         return Pictures(files, index)
+    middles = [c for c in comparisons if c.view.offset == 0]  # of the frame shown beside them
     chosen = [
-        *_evenly([c for c in comparisons if not c.view.novel_pose], NOVEL_VIEWS),
-        *_evenly([c for c in comparisons if c.view.novel_pose], NOVEL_POSES),
+        *_evenly([c for c in middles if not c.view.novel_pose], NOVEL_VIEWS),
+        *_evenly([c for c in middles if c.view.novel_pose], NOVEL_POSES),
     ]
     files, index = {}, []
     for comparison in chosen:

@@ -50,6 +50,18 @@ FIT = (
     Column(("reprojection_px",), "landmarks, median", "pixels", 1),
     Column(("iou",), "silhouette overlap", "IoU", 3),
 )
+ESTIMATED_STEPS = (
+    Column(("steps", "mattes", "iou"), "mattes", "IoU", 3, 1),
+    Column(("steps", "mattes", "mae"), "mattes, difference", "of 1", 4, -1),
+    Column(("steps", "focal", "estimated_px"), "focal length", "pixels", 0),
+    Column(("steps", "focal", "true_px"), "the true one", "pixels", 0),
+    Column(("steps", "poses", "initial", "rooted_mm"), "first poses", "mm", 1, -1),
+    Column(("steps", "poses", "fitted", "rooted_mm"), "fitted poses", "mm", 1, -1),
+    Column(("steps", "poses", "initial", "registered_mm"), "first, aligned", "mm", 1, -1),
+    Column(("steps", "poses", "fitted", "registered_mm"), "fitted, aligned", "mm", 1, -1),
+    Column(("steps", "poses", "fitted", "depth_ratio"), "depth", "of the true one", 3),
+    Column(("in_true_poses", "psnr_seen"), "avatar in true poses", "PSNR seen", 2, 1),
+)
 
 
 def tables_of(
@@ -85,6 +97,13 @@ def tables_of(
         )
         title = "Camera by camera, colours aligned"
         tables.append(results_table(results, aligned, title=title, note=note))
+    if measured(results, ESTIMATED_STEPS):
+        tables.append(
+            results_table(
+                results, ESTIMATED_STEPS, missing=NOT_KNOWN, title="What was estimated",
+                note="Joints relative to the pelvis; aligned: by the best similarity of a frame.",
+            )
+        )  # fmt: skip
     cost = measured(results, COST)
     if cost:
         note = "Training counts the warm-up in full, though methods may share it."

@@ -1,9 +1,8 @@
 """Footage of one camera: pictures and timestamps, from a video file or a folder.
 
 Conventions. Frames are numbered from 0 as the file holds them (a folder: in the natural order of
-its names). What is kept are new frames only: one that repeats its predecessor to the last bit was
-put in by a player or an editor and was never taken. Gaps, where frames were dropped, stay in the
-timestamps.
+its names). What is kept are new frames only: one that repeats its predecessor was put in by a
+player or an editor and was never taken. Gaps, where frames were dropped, stay in the timestamps.
 """
 
 import logging
@@ -18,12 +17,19 @@ from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import read_picture
+from deblur_avatar.sources.footage_damage import (
+    conversion_period,
+    evenly_respaced,
+    light_drift,
+    repeated_frames,
+)
 from deblur_avatar.sources.video_files import read_video, shrunk
 
 logger = logging.getLogger(__name__)
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr")
 GAP = 1.5  # frame intervals from which on a frame is missing
+DRIFT = 0.2  # stops of light from which on a user is told
 
 
 @dataclass(frozen=True)
@@ -115,11 +121,12 @@ def _read_folder(
 
 
 def _new_frames(read: Footage, path: Path) -> Footage:
-    """Leave out repeated frames and those whose time does not advance; tell of gaps."""
+    """Leave out repeated frames and those whose time does not advance; tell of gaps and drifts."""
+    repeats = repeated_frames(read.frames)
     new = [0]
     for index in range(1, len(read.frames)):
         later = bool(read.timestamps[index] > read.timestamps[new[-1]])
-        if later and not torch.equal(read.frames[index], read.frames[new[-1]]):
+        if later and index not in repeats:
             new.append(index)
     if len(new) < 2:
         raise ArtifactError(f"{path} shows {len(new)} picture; a clip is two or more")
@@ -128,14 +135,46 @@ def _new_frames(read: Footage, path: Path) -> Footage:
         logger.warning("%s: %d repeated frames left out: %s", path, len(left_out), left_out[:20])
     kept = Footage(
         frames=read.frames[new],
-        timestamps=read.timestamps[new],
+        timestamps=_times_of_new(read, new, repeats, path),
         numbers=tuple(read.numbers[index] for index in new),
         total=read.total,
         recorded_size=read.recorded_size,
     )
+    _tell_of_gaps(kept, path)
+    _tell_of_drift(kept, path)
+    return kept
+
+
+def _times_of_new(
+    read: Footage, new: list[int], repeats: list[int], path: Path
+) -> Float64[Tensor, " F"]:
+    """Times as the container says, or as they were before every n-th frame was put in."""
+    period = conversion_period(repeats, len(read.frames))
+    if period is None or len(new) + len(repeats) != len(read.frames):
+        return read.timestamps[new]
+    logger.warning(
+        "%s: every %d. frame repeats the one before, so its frame rate was converted; the others "
+        "are taken to be evenly spaced",
+        path,
+        period,
+    )
+    return evenly_respaced(read.timestamps, new, period)
+
+
+def _tell_of_gaps(kept: Footage, path: Path) -> None:
     steps = kept.timestamps.diff()
     gaps = np.flatnonzero((steps > GAP * steps.median()).numpy())
     if len(gaps):
         missing = [kept.numbers[index] for index in gaps[:20]]
         logger.warning("%s: %d gaps in time, after frames %s", path, len(gaps), missing)
-    return kept
+
+
+def _tell_of_drift(kept: Footage, path: Path) -> None:
+    stops = light_drift(kept.frames)
+    if stops.max() > DRIFT:
+        logger.warning(
+            "%s: the camera's exposure or white balance drifts by %.2f, %.2f and %.2f stops (red, "
+            "green, blue); lock them when filming, or set avatars.<name>.exposure_gain: frame",
+            path,
+            *stops,
+        )

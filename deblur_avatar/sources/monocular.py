@@ -4,18 +4,16 @@ The one recorded camera stands at the origin of the world, axes as OpenCV's, and
 it did move, the person moves before it (`given_poses` says why that loses nothing).
 """
 
-import logging
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
 from deblur_avatar.artifacts.body import Body
-from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
@@ -26,13 +24,11 @@ from deblur_avatar.config.section import (
     Positive,
 )
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.camera_motion import STILL, background_travel
-from deblur_avatar.sources.focal_length import focal_of_files, focal_of_view
 from deblur_avatar.sources.footage import Footage, read_footage
+from deblur_avatar.sources.footage_camera import camera_of_footage
 from deblur_avatar.sources.given_masks import read_masks
 from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
-from deblur_avatar.sources.self_calibration import calibrate_focal
 from deblur_avatar.sources.source import Segment
 
 
@@ -81,9 +77,6 @@ class MonocularParams(Params):
         )
 
 
-logger = logging.getLogger(__name__)
-
-
 def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tuple[Clip, Reference]:
     """Read a video or a folder of pictures, and whatever the user brought along with it.
 
@@ -114,7 +107,9 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         landmarks=_landmarks(params, footage),
         recorded=(0,),
         train_camera=0,
-        cameras=_camera(_focal(params, footage, mattes, segment), width, height),
+        cameras=camera_of_footage(
+            _path(params.path, "path"), footage, params.focal, params.field_of_view, mattes, segment
+        ),
         timestamps=(footage.timestamps - footage.timestamps[0]).float(),
         blurred=True,
         exposure=params.exposure_s or params.shutter * footage.interval,
@@ -133,61 +128,6 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
 
 def _path(text: str, key: str) -> Path:
     return Path(expand_environment(text, f"clip.{key}"))
-
-
-def _camera(focal: float, width: int, height: int) -> Cameras:
-    return Cameras(
-        Ks=torch.tensor([[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]]),
-        viewmats=torch.eye(4)[None],
-        distortion=torch.zeros(1, 5),
-        sizes=torch.tensor([[width, height]]),
-        names=("camera",),
-    )
-
-
-def _focal(
-    params: MonocularParams,
-    footage: Footage,
-    mattes: UInt8[Tensor, "F H W"] | None,
-    segment: Segment,
-) -> float:
-    """Pixels of the frames as read; the log says where it comes from."""
-    scale = footage.frames.shape[2] / footage.recorded_size[0]
-    focal, found = _focal_as_recorded(params, footage, mattes, segment, scale)
-    logger.info("focal length %.0f px of %d: %s", focal, footage.recorded_size[0], found)
-    return focal * scale
-
-
-def _focal_as_recorded(
-    params: MonocularParams,
-    footage: Footage,
-    mattes: UInt8[Tensor, "F H W"] | None,
-    segment: Segment,
-    scale: float,
-) -> tuple[float, str]:
-    size = footage.recorded_size
-    if isinstance(params.focal, float | int):
-        return float(params.focal), "given"
-    guess = focal_of_view(params.field_of_view, size)
-    of_view = f"field of view of {params.field_of_view:g} degrees"
-    if params.focal == "field_of_view":
-        return guess, of_view
-    told = focal_of_files(_path(params.path, "path"), size)
-    if told is not None:
-        return told, "from the file's metadata"
-    mattes = segment(footage.frames) if mattes is None else mattes
-    travel = background_travel(footage.frames, mattes)
-    if travel is not None and travel < STILL:
-        return guess, f"{of_view}; the camera stood still, so it cannot be estimated"
-    estimated, how = calibrate_focal(footage.frames, mattes)
-    if estimated is not None:
-        return estimated / scale, how
-    logger.warning(
-        "the focal length is a guess: %s. Set clip.focal (pixels) or clip.field_of_view if you "
-        "know better",
-        how,
-    )
-    return guess, of_view
 
 
 def _landmarks(params: MonocularParams, footage: Footage) -> Float[Tensor, "1 F L 3"] | None:

@@ -19,11 +19,12 @@ def folder(tiny_content, tmp_path, monkeypatch):
     monkeypatch.setattr(running_dvc, "refresh", lambda root: [])
     (tmp_path / "dvc.yaml").touch()
     (tmp_path / "stages").mkdir()
-    del tiny_content["scenes"]["courtyard_two"]
-    tiny_content["checks"].remove("courtyard_two")
+    kept = ["studio", "courtyard_mono"]
+    tiny_content["scenes"] = {name: tiny_content["scenes"][name] for name in kept}
+    tiny_content["checks"] = kept
     for section in ("warmups", "runs", "learning_curves", "self_checks", "exports"):
         entries = tiny_content[section].items()
-        tiny_content[section] = {k: v for k, v in entries if v["scene"] != "courtyard_two"}
+        tiny_content[section] = {k: v for k, v in entries if v["scene"] in kept}
     tiny_content["scenes"]["courtyard_mono"]["clip"]["root"] = "${POSE2SIM_ROOT:-footage}"
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
@@ -102,6 +103,18 @@ def test_what_can_be_made_is_every_run_of_the_other_scenes(folder, tiny_content)
     assert repro.targets(folder / "params.yaml", {}) == []
 
 
+def test_scenes_on_request_wait_until_they_are_asked_for(folder, tiny_content):
+    tiny_content["on_request"] = ["courtyard_mono"]
+    with (folder / "params.yaml").open("w") as file:
+        YAML().dump(tiny_content, file)
+    waiting = repro.not_asked_for(folder / "params.yaml", [])
+    assert waiting == {"courtyard_mono": "it takes long; --scenes courtyard_mono makes it"}
+    asked = repro.not_asked_for(folder / "params.yaml", ["courtyard_mono"])
+    assert asked == {"studio": "it was not asked for"}
+    with pytest.raises(ConfigError, match="no scene 'beach', there is studio, courtyard_mono"):
+        repro.not_asked_for(folder / "params.yaml", ["beach"])
+
+
 class Commands:
     """Stands in for `subprocess.run`, and fails on request."""
 
@@ -140,6 +153,17 @@ def test_without_some_footage_its_scene_is_named_and_the_report_made_all_the_sam
     assert "scene courtyard_mono is left out: no folder footage" in caplog.text
     assert "evaluate@studio-paper" in commands.calls[0]
     assert commands.calls[1] == ["-m", "dvc", "repro", "--single-item", "report"]
+
+
+def test_scenes_asked_for_are_made_alone(folder, monkeypatch, caplog):
+    (folder / "footage").mkdir()
+    (folder / "reports").mkdir()
+    (folder / "reports" / "table.md").write_text("| table |")
+    commands = Commands(monkeypatch, [0, 0])
+    with caplog.at_level(logging.INFO):
+        assert main(["repro", "--scenes", "courtyard_mono"]) == 0
+    assert "evaluate@courtyard_mono-paper" in commands.calls[0]
+    assert not any("studio" in word for word in commands.calls[0])
 
 
 def test_a_failing_step_ends_it_with_its_exit_code(folder, monkeypatch):

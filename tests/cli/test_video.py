@@ -185,10 +185,15 @@ def test_the_self_check_has_the_last_word(root, video, monkeypatch, caplog, valu
         return subprocess.CompletedProcess(command, 0)
 
     monkeypatch.setattr(subprocess, "run", run)
+    page = root / "avatars/anna/data/export/anna-lean/avatar.html"
+    page.parent.mkdir(parents=True)
+    page.write_text("anna-lean")
     with caplog.at_level(logging.INFO):
         assert main(["video", str(video), "--name", "anna"]) == 0
     assert caplog.messages[-1].startswith(last)
     assert ("look at the masks" in caplog.text) == (value < 0.5)
+    assert (root / "avatars/anna/avatar.html").read_text() == "anna-lean"
+    assert "Turn it by hand: avatars/anna/avatar.html" in caplog.messages
 
 
 def test_a_missing_video_is_one_clear_line(tmp_path: Path):

@@ -16,9 +16,11 @@ def comparison(camera: int, gain, offset=0.0, seed: int = 0) -> Comparison:
     person[4:20, 4:20] = True
     colours = torch.rand(SIZE, SIZE, 3, generator=generator) * 0.6 * person[..., None]
     truth = (colours * torch.tensor(gain) + offset * person[..., None]).clamp(0, 1)
+    image = (truth * 255).round().to(torch.uint8)
     view = TruthView(
-        camera, 0, False, (truth * 255).round().to(torch.uint8), person, person.clone()
-    )
+        camera=camera, position=0, novel_pose=False, viewmat=None, offset=0.0, image=image,
+        foreground=person, seen=person.clone(),
+    )  # fmt: skip
     return Comparison(
         view=view,
         render=(colours * 255).round().to(torch.uint8),

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from deblur_avatar.artifacts.reference import FilmedTruth
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.reporting.evaluation_pictures import colour_map, draw_pictures
 
@@ -176,3 +177,28 @@ def test_without_truth_pictures_show_what_was_set_aside(scene, tmp_path):
     difference = pictures.files[entry["averaged"]].astype(int) - pictures.files[entry["blurred"]]
     assert abs(difference).mean() < 3
     assert {"strip.png", "turntable.png"} < set(pictures.files)
+
+
+def test_footage_that_knows_the_truth_of_its_steps_has_their_errors(scene):
+    """An avatar right in itself, in poses that were estimated wrong."""
+    frames = scene.observations.frame_indices[-1] + 1
+    mattes = torch.zeros(frames, 48, 48, dtype=torch.uint8)
+    mattes[list(scene.observations.frame_indices)] = (
+        scene.observations.mattes.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    )  # fmt: skip
+    reference = dataclasses.replace(
+        scene.reference,
+        viewmats=scene.observations.cameras.viewmats[scene.reference.camera_indices],
+        filmed=FilmedTruth(mattes=mattes, focal=76.8),
+    )
+    centre = scene.motion.centre
+    wrong = centre.body_pose.clone()
+    wrong[:, 15, 2] += 1.0  # the left arm
+    motion = dataclasses.replace(scene.motion, centre=dataclasses.replace(centre, body_pose=wrong))
+    content = measured(scene, reference=reference, motion=motion)
+    assert content["steps"]["mattes"]["iou"] == pytest.approx(1)
+    assert content["steps"]["poses"]["fitted"]["rooted_mm"] > 10
+    assert content["steps"]["poses"]["initial"]["rooted_mm"] < 1
+    assert content["in_true_poses"]["psnr"] > content["image"]["psnr"] + 1
+    assert "steps" not in measured(scene)
+    json.dumps(content)

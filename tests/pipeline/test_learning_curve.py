@@ -67,7 +67,13 @@ def test_scores_are_those_of_the_evaluation(scene, trained, painted):
     views = truth_views(scene.observations, scene.reference)
     model = painted(frames=8)
     scores = [
-        compare(model, scene.observations, scene.reference, view, scene.motion.centre).scores
+        compare(
+            model,
+            scene.observations,
+            scene.reference,
+            view,
+            scene.motion.centre.at([view.position]),
+        ).scores
         for view in views
         if not view.novel_pose
     ]

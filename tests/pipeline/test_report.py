@@ -528,3 +528,21 @@ def test_costs_come_from_their_own_files(project):
         "train_s": 100.0, "warmup_s": 0.0, "trajectory_s": 0.0, "fusion_s": 100.0,
         "peak_memory_mb": 300.0, "render_fps": 50.0,
     }  # fmt: skip
+
+
+def test_what_was_estimated_stands_beside_its_truth():
+    steps = {
+        "mattes": {"iou": 0.875, "mae": 0.016}, "focal": {"estimated_px": 831.4, "true_px": 739.1},
+        "poses": {
+            "initial": {"rooted_mm": 101.1, "registered_mm": 88.8},
+            "fitted": {"rooted_mm": 100.4, "registered_mm": 88.9, "depth_ratio": 1.096},
+        },
+    }  # fmt: skip
+    own = result("s", "lean", 17.0) | {"steps": steps, "in_true_poses": {"psnr_seen": 13.5}}
+    table = next(t for t in tables_of({"lean": own}, {}) if t.title == "What was estimated")
+    texts = [cell.text for cell in table.rows[0][1]]
+    assert texts == [
+        "0.875", "0.0160", "831", "739", "101.1", "100.4", "88.8", "88.9", "1.096", "13.50",
+    ]  # fmt: skip
+    bare = tables_of({"lean": result("s", "lean", 17.0)}, {})
+    assert "What was estimated" not in [t.title for t in bare]

@@ -43,14 +43,19 @@ class Drape:
         self,
         joint_transforms: Float32[np.ndarray, "J 4 4"],
         bends: Float32[np.ndarray, " J"],
+        swing: Float32[np.ndarray, "J 3"] | None = None,
     ) -> Float32[np.ndarray, "P 3"]:
         """Vertices of the posed person.
 
         Args:
             joint_transforms: rest to posed.
             bends: how far each joint is turned against its parent, as sin^2 of half the angle.
+            swing: added to the pull of gravity on cloth around each joint, in units of that pull.
         """
-        down = joint_transforms[:, :3, :3].transpose(0, 2, 1) @ DOWN - DOWN
+        world_from_rest = joint_transforms[:, :3, :3]
+        down = world_from_rest.transpose(0, 2, 1) @ DOWN - DOWN
+        if swing is not None:
+            down = down + np.einsum("jki,jk->ji", world_from_rest, swing)
         sag = self.sag * ((self.lbs_weights @ down) * self.normals).sum(1)
         chosen = [SMPL_JOINT_NAMES.index(name) for name in _BENDS]
         lift = sag + self.folds @ bends[chosen]

@@ -33,6 +33,7 @@ class Moves:
     global_orient: Float[Tensor, "M 3"]
     body_pose: Float[Tensor, "M K 3"]
     transl: Float[Tensor, "M 3"]
+    swing: Float[Tensor, "M J 3"] | None = None  # of the cloth around each joint (`Drape.skinned`)
 
     @property
     def axis_angle(self) -> Float[Tensor, "M J 3"]:
@@ -114,7 +115,27 @@ def turn(times: Float[Tensor, " M"], training_seconds: float) -> Moves:
     return _moves(turns, orient, torch.stack(place, -1))
 
 
-MOTIONS: dict[str, Motion] = {"turn": turn, "still": still}
+def walk(times: Float[Tensor, " M"], training_seconds: float) -> Moves:
+    """Walk on the spot, two steps a second, facing forward; arms swing against the legs."""
+    stride = torch.sin(2 * torch.pi * times)
+    left, right = ((0.5 - side * 0.5 * torch.cos(2 * torch.pi * times)) ** 2 for side in (1, -1))
+    constant = torch.ones_like(times)
+    turns = {
+        "left_hip": [(X, -0.45 * stride)],
+        "right_hip": [(X, 0.45 * stride)],
+        "left_knee": [(X, 0.1 + 0.9 * left)],
+        "right_knee": [(X, 0.1 + 0.9 * right)],
+        "left_shoulder": [(Z, -1.25 * constant), (X, 0.5 * stride)],
+        "right_shoulder": [(Z, 1.25 * constant), (X, -0.5 * stride)],
+        "left_elbow": [(Y, -0.35 * constant)],
+        "right_elbow": [(Y, 0.35 * constant)],
+        "spine2": [(Y, 0.12 * stride)],
+    }
+    height = STANDING - 0.025 + 0.02 * torch.cos(4 * torch.pi * times)
+    return _moves(turns, [(Y, 0 * times)], torch.stack([0 * times, height, 0 * times], -1))
+
+
+MOTIONS: dict[str, Motion] = {"turn": turn, "still": still, "walk": walk}
 
 
 def _kicks(times: Float[Tensor, " M"], first: float) -> Float[Tensor, " M"]:

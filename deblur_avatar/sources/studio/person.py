@@ -44,8 +44,10 @@ class Person:
             self.body, self.betas.double(), moves.global_orient, moves.body_pose, moves.transl
         )
         bends = axis_angle_to_quat(moves.axis_angle)[..., 1:].square().sum(-1)
-        for transform, bend in zip(transforms.float().numpy(), bends.float().numpy(), strict=True):
-            yield self.drape.skinned(transform, bend)
+        swings = [None] * len(bends) if moves.swing is None else moves.swing.float().numpy()
+        posed = zip(transforms.float().numpy(), bends.float().numpy(), swings, strict=True)
+        for transform, bend, swung in posed:
+            yield self.drape.skinned(transform, bend, swung)
 
 
 def create_person(body: Body, betas: Float[Tensor, " B"]) -> Person:
