@@ -13,6 +13,7 @@ from deblur_avatar.pipeline.blur import BlurParams
 from deblur_avatar.pipeline.body import BodyParams
 from deblur_avatar.pipeline.check import CheckParams
 from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.pipeline.export import ExportsParams
 from deblur_avatar.pipeline.fusion import FusionParams
 from deblur_avatar.pipeline.predeblur import PredeblurParams
 from deblur_avatar.pipeline.preprocess import PreprocessParams
@@ -75,6 +76,7 @@ def check_parameters(path: Path) -> None:
         "warmups": WarmupParams,
         "runs": RunParams,
         "animations": AnimationParams,
+        "exports": ExportsParams,
     }
     section_of(content, path, "seed", int)
     section_of(content, path, "snapshots", int)
@@ -122,6 +124,9 @@ def _check_runs(content: Mapping[str, Any], path: Path) -> None:
         for name, entry in section_of(content, path, section, dict).items():
             if content["runs"].get(name) != entry:
                 raise ConfigError(f"{path}: {section}.{name} is not as in runs")
-    for name, entry in content["animations"].items():
-        if content["runs"].get(name, {}).get("scene") != entry["scene"]:
-            raise ConfigError(f"{path}: animations.{name}: no run {name!r} on {entry['scene']!r}")
+    for section in ("animations", "exports"):
+        for name, entry in content[section].items():
+            if content["runs"].get(name, {}).get("scene") != entry["scene"]:
+                raise ConfigError(
+                    f"{path}: {section}.{name}: no run {name!r} on {entry['scene']!r}"
+                )

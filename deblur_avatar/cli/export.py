@@ -87,16 +87,6 @@ def run(asked: argparse.Namespace) -> int:
     return 0
 
 
-def write_page(folder: Path, name: str, out: Path) -> None:
-    """Write the page of a run, with the options that it has where none is given.
-
-    Raises:
-        ConfigError: if the run's avatar cannot be shown on a page.
-        ArtifactError: if the run was not made yet, or the file cannot be written.
-    """
-    _exporter("page", {}).export(load_run(folder, name), out)
-
-
 def _exporter(kind: str, given: Mapping[str, Any]) -> Exporter:
     """The exporter of a format; an option that is not given, or None, is as in `DEFAULTS`."""
     known = EXPORTERS[kind].__annotations__

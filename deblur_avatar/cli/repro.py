@@ -61,7 +61,7 @@ def targets(params_file: Path, missing: Collection[str]) -> list[str]:
         return []
     runs = read_yaml(params_file)["runs"]
     kept = [name for name, run in runs.items() if run["scene"] not in missing]
-    animated = read_yaml(params_file)["animations"]
+    shown = {"animate": "animations", "export": "exports"}  # sections of some of the runs
     scenes = dict.fromkeys(runs[name]["scene"] for name in kept)
     return [
         *(f"check@{scene}" for scene in scenes),
@@ -70,7 +70,12 @@ def targets(params_file: Path, missing: Collection[str]) -> list[str]:
             for name in kept
             for stage in ("self_check", "evaluate", "learning_curve")
         ),
-        *(f"animate@{name}" for name in animated if name in kept),
+        *(
+            f"{stage}@{name}"
+            for stage, section in shown.items()
+            for name in read_yaml(params_file)[section]
+            if name in kept
+        ),
     ]
 
 

@@ -1,8 +1,9 @@
 """From a video of one person to an avatar, a check and a report.
 
 Writes avatars/<name>/params.yaml (once; it is the user's to change) and beside it a copy of the
-root's dvc.yaml, checks the scene, and lets DVC make the rest: the avatar, a video of it doing
-what was filmed while the camera goes round, and a report. All results lie below that folder.
+root's dvc.yaml, checks the scene, and lets DVC make the rest: the avatar, a page that shows it in
+any browser, a video of it doing what was filmed while the camera goes round, files for other
+programs, and a report. All results lie below that folder.
 """
 
 import argparse
@@ -15,7 +16,6 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from deblur_avatar.cli.export import write_page
 from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.config.reading import (
     read_params,
@@ -32,13 +32,14 @@ logger = logging.getLogger(__name__)
 
 AVATARS, PARAMS, UP = Path("avatars"), "params.yaml", "../.."
 PAGE = "avatar.html"
-BODY = "anny"
+BODY, PLAIN = "anny", "plain"
 DEFAULT_AVATAR = "paper"
 ADDED_TO = (
     "warmups",
     "runs",
     "self_checks",
     "animations",
+    "exports",
 )  # sections that each method asked for grows
 HEADER = """\
 # One person's video. Change what you know better, then run the same command again; every key of
@@ -79,7 +80,8 @@ def prepare(video: Path, name: str, method: str, schedule: str, root: Path) -> P
     else:
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
-    content = _with_method(content, name, method, recipe) | {"schedule": schedule}
+    kind = section_of(shared, root / PARAMS, f"avatars.{recipe}.model.kind", str)
+    content = _with_method(content, name, method, recipe, kind) | {"schedule": schedule}
     snapshots = section_of(shared, root / PARAMS, "snapshots", int)
     content = {"snapshots": snapshots} | content | {"from": _places(content)}
     folder.mkdir(parents=True, exist_ok=True)
@@ -101,7 +103,13 @@ def targets(folder: Path, method: str) -> list[str]:
     run = f"{name}-{method}"
     return [
         f"{pipeline}:{stage}"
-        for stage in (f"check@{name}", f"self_check@{run}", f"animate@{run}", f"evaluate@{run}")
+        for stage in (
+            f"check@{name}",
+            f"self_check@{run}",
+            f"export@{run}",
+            f"animate@{run}",
+            f"evaluate@{run}",
+        )
     ]
 
 
@@ -130,20 +138,19 @@ def run(asked: argparse.Namespace) -> int:
     logger.info("All round:    %s/data/animate/%s/video.mp4 and contact_sheet.png", folder, run)
     logger.info("The self-check: %s/data/self_check/%s/index.html", folder, run)
     logger.info("The report:   %s/reports/index.html", folder)
-    _write_page(folder, run)
+    _show_page(folder, run)
     _tell_verdict(folder / "metrics/self_check" / f"{run}.json")
     return 0
 
 
-def _write_page(folder: Path, name: str) -> None:
+def _show_page(folder: Path, run: str) -> None:
     """The avatar as a page for any browser, of avatars that can be shown on one."""
-    page = folder / PAGE
-    try:
-        write_page(folder, name, page)
-    except ConfigError as error:
-        logger.info("No page: %s", error)
-    else:
+    page, made = folder / PAGE, folder / "data/export" / run / PAGE
+    if made.is_file():
+        shutil.copyfile(made, page)
         logger.info("Turn it by hand: %s", page)
+    else:
+        logger.info("No page: an avatar with networks fits on none; --method lean makes one")
 
 
 def _tell_verdict(path: Path) -> None:
@@ -199,6 +206,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "runs": {},
         "self_checks": {},
         "animations": {},
+        "exports": {},
     }
 
 
@@ -206,7 +214,8 @@ def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
     """What is in an avatar's file, once it is of this video and can be added to."""
     content: dict[str, Any] = read_yaml(path)
     known = section_of(content, path, f"scenes.{name}.clip.path", str)
-    content.setdefault("self_checks", {})  # older files have none
+    for section in ("self_checks", "exports"):  # older files have none
+        content.setdefault(section, {})
     for section in ADDED_TO:
         section_of(content, path, section, dict)
     if not _same_file(known, video):
@@ -221,8 +230,23 @@ def _same_file(known: str, video: Path) -> bool:
         return False
 
 
-def _with_method(content: dict[str, Any], name: str, method: str, avatar: str) -> dict[str, Any]:
-    """Add a run and its turntable; what is there stays."""
+def _files(kind: str) -> dict[str, Any]:
+    """What other programs open of an avatar of this kind; a page, where it has no networks."""
+    motion = {"fps": 30.0, "seconds": 8.0}
+    motions = {"motions": ["own", "builtin:jumping_jacks"], **motion}
+    page = {PAGE: {"format": "page", **motions, "pictures": 12}}
+    return (page if kind == PLAIN else {}) | {
+        "rig.glb": {"format": "gltf_rig", **motions},
+        "pose.ply": {"format": "ply", "frame": 0},
+        "motion.bvh": {"format": "bvh", "motion": "own", **motion},
+        "motion.npz": {"format": "npz"},
+    }
+
+
+def _with_method(
+    content: dict[str, Any], name: str, method: str, avatar: str, kind: str
+) -> dict[str, Any]:
+    """Add a run, its turntable and its files; what is there stays."""
     warmup = {"scene": name, "observations": "blurred", "avatar": avatar}
     animation = {
         "scene": name,
@@ -251,6 +275,7 @@ def _with_method(content: dict[str, Any], name: str, method: str, avatar: str) -
             "runs": {run: trained} | content["runs"],
             "self_checks": {run: trained} | content["self_checks"],
             "animations": {run: animation} | content["animations"],
+            "exports": {run: {"scene": name, "files": _files(kind)}} | content["exports"],
         }
     )
 

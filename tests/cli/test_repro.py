@@ -22,7 +22,7 @@ def folder(tiny_content, tmp_path, monkeypatch):
     kept = ["studio", "courtyard_mono"]
     tiny_content["scenes"] = {name: tiny_content["scenes"][name] for name in kept}
     tiny_content["checks"], tiny_content["without_pictures"] = kept, []
-    for section in ("warmups", "runs", "learning_curves", "self_checks"):
+    for section in ("warmups", "runs", "learning_curves", "self_checks", "exports"):
         entries = tiny_content[section].items()
         tiny_content[section] = {k: v for k, v in entries if v["scene"] in kept}
     tiny_content["scenes"]["courtyard_mono"]["clip"]["root"] = "${POSE2SIM_ROOT:-footage}"
@@ -99,6 +99,7 @@ def test_what_can_be_made_is_every_run_of_the_other_scenes(folder, tiny_content)
     assert not any("courtyard_mono" in name for name in wanted)
     animated = [name for name in tiny_content["animations"] if name in runs]
     assert {f"animate@{name}" for name in animated} <= set(wanted)
+    assert "export@studio-lean" in wanted
     assert repro.targets(folder / "params.yaml", {}) == []
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from deblur_avatar.cli import video as video_command
 from deblur_avatar.cli.main import main
 from deblur_avatar.cli.video import name_of, prepare
 from deblur_avatar.config.reading import load_params
@@ -71,6 +70,10 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     assert changed["runs"]["anna-lean"]["avatar"] == "lean"
     assert changed["runs"]["anna-agnostic"]["avatar"] == "paper"
     assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
+    assert "avatar.html" in changed["exports"]["anna-lean"]["files"]
+    assert set(changed["exports"]["anna-agnostic"]["files"]) == {
+        "rig.glb", "pose.ply", "motion.bvh", "motion.npz",
+    }  # fmt: skip
 
 
 def test_one_name_is_one_video(root: Path, video: Path):
@@ -161,7 +164,8 @@ def test_the_check_comes_before_the_training(root, video, monkeypatch):
     (root / "stages").mkdir()
     assert main(["video", str(video), "--name", "anna"]) == 3
     assert asked == [
-        "check@anna", "self_check@anna-lean", "animate@anna-lean", "evaluate@anna-lean",
+        "check@anna", "self_check@anna-lean", "export@anna-lean", "animate@anna-lean",
+        "evaluate@anna-lean",
     ]  # fmt: skip
 
 
@@ -181,7 +185,9 @@ def test_the_self_check_has_the_last_word(root, video, monkeypatch, caplog, valu
         return subprocess.CompletedProcess(command, 0)
 
     monkeypatch.setattr(subprocess, "run", run)
-    monkeypatch.setattr(video_command, "write_page", lambda folder, name, out: out.write_text(name))
+    page = root / "avatars/anna/data/export/anna-lean/avatar.html"
+    page.parent.mkdir(parents=True)
+    page.write_text("anna-lean")
     with caplog.at_level(logging.INFO):
         assert main(["video", str(video), "--name", "anna"]) == 0
     assert caplog.messages[-1].startswith(last)

@@ -44,5 +44,6 @@ def test_stages_that_are_compared_have_a_case(jobs):
     assert {job.stage for job in jobs} >= {
         "body", "clip", "blur", "score_blur", "preprocess", "predeblur", "score_predeblur", "check",
         "warmup", "trajectory", "fusion", "evaluate", "learning_curve", "animate", "self_check",
+        "export",
         "stability", "stability_scene",
     }  # fmt: skip

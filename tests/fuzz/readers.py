@@ -94,7 +94,7 @@ def _write_parameters(folder: Path) -> None:
         "avatars": wanted["avatar"], "methods": wanted["method"], "warmups": warmup, "runs": name,
     }  # fmt: skip
     below = {section: {key: content[section][key]} for section, key in used.items()}
-    below |= {"check": content["check"], "animations": {}, "predeblur": {}}
+    below |= {"check": content["check"], "animations": {}, "exports": {}, "predeblur": {}}
     below |= {
         "from": content["from"],
         "checks": [],
@@ -110,10 +110,17 @@ def _write_parameters(folder: Path) -> None:
 
 def _write_avatar(folder: Path) -> None:
     """What `make avatar` wrote for one video."""
-    methods = {"lean": {}}
-    shared = {"methods": methods, "avatars": methods, "schedules": {"medium": {}}, "snapshots": 0}
+    avatars = {"lean": {"model": {"kind": "plain"}}}
+    shared = {"methods": {"lean": {}}, "avatars": avatars, "schedules": {"medium": {}}}
+    shared |= {"snapshots": 0}
     clip = {"path": str((folder / "film.mp4").resolve())}
-    own = {"scenes": {"me": {"clip": clip}}, "warmups": {}, "runs": {}, "animations": {}}
+    own = {
+        "scenes": {"me": {"clip": clip}},
+        "warmups": {},
+        "runs": {},
+        "animations": {},
+        "exports": {},
+    }
     own |= {"bodies": {}}
     (folder / "params.yaml").write_text(json.dumps(shared))
     place = folder / own_video.AVATARS / "me" / "params.yaml"

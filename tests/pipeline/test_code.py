@@ -146,7 +146,13 @@ def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
     text = (tmp_path / kernel).read_text()
     assert moved(tmp_path, kernel, text, f"// a comment\n{text}") == set()
     renders = moved(tmp_path, kernel, text, f"{text}\nint more;\n")
-    assert renders == FITTING | {"evaluate", "learning_curve", "animate", "self_check"}
+    assert renders == FITTING | {
+        "evaluate",
+        "learning_curve",
+        "animate",
+        "self_check",
+        "export",
+    }
     metrics = "deblur_avatar/imaging/metrics.py"
     text = (tmp_path / metrics).read_text()
     scores = moved(tmp_path, metrics, text, f"{text}\nMORE = 0.5\n")

@@ -123,7 +123,7 @@ def test_only_evaluation_and_the_learning_curve_depend_on_the_reference():
 
 
 def test_fitting_depends_on_nothing_of_the_clip():
-    for name in ("warmup", "trajectory", "fusion", "animate"):
+    for name in ("warmup", "trajectory", "fusion", "animate", "export"):
         deps = paths_in(STAGES[name], "deps")
         assert deps
         assert not [dep for dep in deps if re.search("/(clip|blur)/", dep)]

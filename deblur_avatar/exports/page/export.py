@@ -50,10 +50,11 @@ class PageExport(Params):
             autoescape=True,
             undefined=jinja2.StrictUndefined,
         )
+        space = {"srgb": "sRGB values", "linear": "linear light"}[shown[0].rig.averaging_space]
         counts = " and ".join(f"{len(avatar.rig.means):,}" for avatar in shown)
         text = environment.get_template("page.html.jinja").render(
             name=" | ".join(run.name for run in runs),
-            summary=f"{counts} Gaussians, averaged in {shown[0].rig.averaging_space}",
+            summary=f"{counts} Gaussians, averaged as {space}",
             avatars=[run.name for run in runs],
             licence=f"Body: {runs[0].observations.body.licence}",
             style=(FOLDER / "page.css").read_text(),
