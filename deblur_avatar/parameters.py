@@ -83,6 +83,9 @@ def check_parameters(path: Path) -> None:
     section_of(content, path, "check", CheckParams)
     section_of(content, path, "from", PlacesParams)
     section_of(content, path, "reports", list[str])
+    for name in set(section_of(content, path, "without_pictures", list[str])):
+        if name not in section_of(content, path, "scenes", dict):
+            raise ConfigError(f"{path}: without_pictures: there is no scene {name!r}")
     for section, kind in sections.items():
         for name in section_of(content, path, section, dict):
             section_of(content, path, f"{section}.{name}", kind)

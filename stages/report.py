@@ -15,8 +15,9 @@ def main(metrics: Path, pictures: Path, animations: Path, out: Path, params_file
     """Write `<out>/index.html`, `summary.json`, `table.md`, the charts and a strip of pictures."""
     runs = load_params(params_file, "runs", dict[str, RunParams])
     animated = load_params(params_file, "animations", dict)
+    hidden = load_params(params_file, "without_pictures", list[str])
     with run.stage("report", out.name, load_params(params_file, "seed", int)):
-        report = make_report(runs, animated, metrics, pictures, animations)
+        report = make_report(runs, animated, metrics, pictures, animations, hidden)
         report.save(out)
         logger.info("%s", report.log)
         logger.info("The report: %s", out / "index.html")

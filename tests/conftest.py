@@ -168,6 +168,7 @@ def tiny_parameters() -> dict[str, Any]:
         del content["scenes"][name]
     kept = content["scenes"]
     content["checks"], content["on_request"] = list(kept), []
+    content["without_pictures"] = []
     for section in ("warmups", "runs", "learning_curves", "animations", "self_checks"):
         entries = content[section].items()
         content[section] = {name: entry for name, entry in entries if entry["scene"] in kept}

@@ -267,6 +267,7 @@ def _with_method(
             "checks": [name],
             "learning_curves": {},
             "reports": ["reports"],
+            "without_pictures": [],
         }
         | content
         | {

@@ -102,7 +102,7 @@ class Report:
 
 def make_report(
     runs: Mapping[str, RunParams], animated: Collection[str], metrics: Path, pictures: Path,
-    animations: Path,
+    animations: Path, hidden: Collection[str] = (),
 ) -> Report:  # fmt: skip
     """Read the results of these runs and put them on one page; nothing else that lies there counts.
 
@@ -113,17 +113,21 @@ def make_report(
             `learning_curve/<run>.json`, `self_check/<run>.json`, `cost/<stage>/<item>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
+        hidden: scenes of which no picture may be shown.
 
     Raises:
         ArtifactError: if a file is damaged; names it.
     """
-    shown = {name: animations / name for name in animated}
+    shown = {name: animations / name for name in animated if runs[name].scene not in hidden}
     curves = read_learning_curves(metrics, runs)
     scenes = {
         scene: with_speed(compared(results), curves.get(scene, {}))
         for scene, results in read_results(metrics, runs).items()
     }
-    strips = {scene: _strips(scene, results, pictures) for scene, results in scenes.items()}
+    strips = {
+        scene: [] if scene in hidden else _strips(scene, results, pictures)
+        for scene, results in scenes.items()
+    }
     charts = chart_files("speed_accuracy", rows_of_methods(scenes))
     charts |= chart_files("quality_over_time", rows_over_time(curves))
     repeated = _repeated(scenes)
@@ -140,6 +144,7 @@ def make_report(
         scenes=[
             _section(scene, results, strips[scene], metrics)
             | {
+                "hidden": scene in hidden,
                 "without_pictures": _without_pictures(scene, results, pictures),
                 "animations": _animations(scene, results, shown),
             }

@@ -79,7 +79,7 @@ def _focal_as_recorded(
         return guess, f"{of_view}; the camera stood still, so it cannot be estimated"
     estimated, how = calibrate_focal(footage.frames, mattes)
     if estimated is not None:
-        return estimated * size[0] / footage.frames.shape[2], how
+        return estimated / (footage.frames.shape[2] / size[0]), how
     logger.warning(
         "the focal length is a guess: %s. Set clip.focal (pixels) or clip.field_of_view if you "
         "know better",

@@ -21,7 +21,7 @@ def folder(tiny_content, tmp_path, monkeypatch):
     (tmp_path / "stages").mkdir()
     kept = ["studio", "courtyard_mono"]
     tiny_content["scenes"] = {name: tiny_content["scenes"][name] for name in kept}
-    tiny_content["checks"] = kept
+    tiny_content["checks"], tiny_content["without_pictures"] = kept, []
     for section in ("warmups", "runs", "learning_curves", "self_checks", "exports"):
         entries = tiny_content[section].items()
         tiny_content[section] = {k: v for k, v in entries if v["scene"] in kept}

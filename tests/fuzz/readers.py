@@ -95,7 +95,14 @@ def _write_parameters(folder: Path) -> None:
     }  # fmt: skip
     below = {section: {key: content[section][key]} for section, key in used.items()}
     below |= {"check": content["check"], "animations": {}, "exports": {}, "predeblur": {}}
-    below |= {"from": content["from"], "checks": [], "learning_curves": {}, "reports": []}
+    below |= {
+        "from": content["from"],
+        "checks": [],
+        "learning_curves": {},
+        "self_checks": {},
+        "reports": [],
+        "without_pictures": [],
+    }
     above = {"shared": "below.yaml", "seed": 0, "snapshots": 0, "schedule": content["schedule"]}
     (folder / "below.yaml").write_text(json.dumps(below, indent=1))
     (folder / "params.yaml").write_text(json.dumps(above, indent=1))
@@ -259,8 +266,11 @@ def example(kind: type[Artifact]) -> Artifact:
             "images": _images(2, 6, 8, 3), "mattes": _images(2, 6, 8), "seen": _images(2, 6, 8),
             "camera_indices": torch.zeros(2, dtype=torch.long), "novel_pose": torch.tensor([0, 1]),
             "frame_indices": torch.tensor([0, 1]), "background": (0.0, 0.0, 0.0),
-            "motion_times": _times(2), "motion": _poses(2),
+            "motion_times": _times(2), "motion": _poses(2), "offsets": torch.zeros(2),
+            "viewmats": torch.eye(4).repeat(2, 1, 1),
+            "filmed": reference.FilmedTruth(mattes=_images(3, 4, 8), focal=40.0),
         },
+        "FilmedTruth": {"mattes": _images(3, 4, 8), "focal": 40.0},
         "Avatar": {
             "means": torch.ones(4, 3), "quats": torch.ones(4, 4), "log_scales": torch.ones(4, 3),
             "opacity_logits": torch.ones(4), "features": torch.ones(4, 2), "betas": torch.ones(1),

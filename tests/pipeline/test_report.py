@@ -399,6 +399,23 @@ def test_an_avatar_that_fails_its_self_check_is_told_of_on_top(project):
         made(project)
 
 
+def test_no_picture_of_a_hidden_scene_leaves_the_machine(project, tmp_path):
+    runs = {f"{s}-{m}": run_of(s, m) for s in ("studio", "yard") for m in METHODS}
+    folders = project / "metrics", project / "evaluate", project / "animate"
+
+    def pictures(hidden):
+        report = make_report(runs, list(runs), *folders, hidden)
+        report.save(tmp_path / "-".join(["reports", *hidden]))
+        return report.page.count("data:image"), report.page.count("data:video")
+
+    everything, yard = pictures(()), pictures(("yard",))
+    assert 0 < yard[0] < everything[0]
+    assert "may not be passed on" in make_report(runs, list(runs), *folders, ("yard",)).page
+    assert pictures(("studio", "yard")) == (0, 0)
+    assert not (tmp_path / "reports-studio-yard/strip.png").exists()
+    assert (tmp_path / "reports-yard/strip.png").exists()
+
+
 def test_the_confusion_table_is_among_the_results_where_somebody_made_it(project, tmp_path):
     made(project).save(tmp_path / "without")
     assert not (tmp_path / "without/self_check.json").exists()

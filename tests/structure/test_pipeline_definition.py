@@ -27,7 +27,7 @@ PIPELINES = [ROOT / PIPELINE, *(folder / PIPELINE for folder in experiments()), 
 SCRIPTS = sorted((ROOT / "stages").glob("*.py"))
 PARAMETERS = read(ROOT / PARAMS)
 CODE = re.compile(r"\.(py|cpp|h|jinja)$|(^|/)(deblur_avatar|stages|benchmarks)(/|$)")
-MAX_BYTES, MAX_LINES = 13_000, 60_000  # of the root's dvc.yaml, of all locks
+MAX_BYTES, MAX_LINES = 12_000, 60_000  # of the root's dvc.yaml, of all locks
 VAGUE = {"util", "utils", "helper", "helpers", "common", "misc", "base", "manager", "managers"}
 every_stage = pytest.mark.parametrize("name", STAGES)
 every_pipeline = pytest.mark.parametrize("path", PIPELINES, ids=lambda p: str(p.relative_to(ROOT)))

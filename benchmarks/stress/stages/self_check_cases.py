@@ -1,20 +1,25 @@
 """Stage `self_check_cases`: avatars known to be good or damaged, and what the self-check says."""
 
+from functools import cache
 from pathlib import Path
 
+import torch
+
 from benchmarks.stress.fit import FitSetup
-from benchmarks.stress.params import SelfCheckParams
+from benchmarks.stress.params import SelfCheckParams, StabilitySceneParams
+from benchmarks.stress.scene import film_scene
 from benchmarks.stress.self_check_cases import cases_of, confusion, judge_case
-from benchmarks.stress.suite import scenes_in
 from deblur_avatar import run
+from deblur_avatar.artifacts.clip import Clip
+from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.parameters import MethodParams
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
 
-def main(scenes: Path, metrics: Path, params_file: Path) -> None:
-    """Write the confusion table with all its cases; `scenes` is what was filmed."""
+def main(metrics: Path, params_file: Path) -> None:
+    """Film the scenes that cases are of, and write the confusion table with all its cases."""
     params = load_params(params_file, "self_check", SelfCheckParams)
     seed = load_params(params_file, "seed", int)
     with run.stage("self_check_cases", "all", seed) as context:
@@ -29,9 +34,16 @@ def main(scenes: Path, metrics: Path, params_file: Path) -> None:
             )
             for method in params.methods
         }
-        load = scenes_in(scenes)
+
+        @cache
+        def load_scene(name: str) -> tuple[Clip, Reference]:
+            scene = load_params(params_file, f"scenes.{name}", StabilitySceneParams)
+            derived = run.derive_seed(seed, "stability_scene", name)
+            generator = torch.Generator().manual_seed(derived)
+            return film_scene(scene, generator)[1:]
+
         cases = run.progress(list(cases_of(params)), "self-checks")
-        rows = [judge_case(case, setups[case.method], load) for case in cases]
+        rows = [judge_case(case, setups[case.method], load_scene) for case in cases]
         run.write_json(metrics, confusion(rows))
 
 
