@@ -20,6 +20,7 @@ COMMANDS = {
     "report": "write the report over the results there are",
     "film": "write the video of a street scene",
     "export": "write a fitted run as a file that other programs open",
+    "view": "turn a fitted avatar by hand in a browser on this machine",
 }
 
 
@@ -33,7 +34,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="deblur-avatar",
         description="Sharp, animatable Gaussian avatars from motion-blurred video.",
-        epilog="All but export run the repository's pipeline: start them in a checkout of it.",
+        epilog="All but export and view run the repository's pipeline, in a checkout of it.",
     )
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
     for name, purpose in COMMANDS.items():

@@ -1,9 +1,13 @@
+import logging
+
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
 from deblur_avatar.animation.amass import read_amass
 from deblur_avatar.cli.main import main
+from deblur_avatar.exports.live_viewer import LiveViewer
+from tests.exports.requirement import imported
 
 
 @pytest.fixture
@@ -95,3 +99,25 @@ def test_what_cannot_be_exported_is_one_clear_line(project, capsys, words, messa
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(line)
     assert not list(project.glob("a.*"))
+
+
+def test_an_avatar_is_shown_live_on_this_machine_alone(project, monkeypatch, caplog):
+    imported("viser")
+    monkeypatch.setattr(LiveViewer, "run", LiveViewer.stop)
+    with caplog.at_level(logging.INFO):
+        assert main(["view", "capsules-lean", "--port", "0"]) == 0
+    assert "http://127.0.0.1:" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("view bob", "no run 'bob' in params.yaml"),
+        ("view unmade", "ArtifactError: no avatar/1 in data/fusion/unmade"),
+        ("view capsules-lean --motions fly.bvh", "no motion file fly.bvh"),
+    ],
+)
+def test_what_cannot_be_shown_live_is_one_clear_line(project, capsys, words, message):
+    assert main(words.split()) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert message in line
