@@ -32,9 +32,9 @@ from deblur_avatar.errors import (
 T = TypeVar("T")
 
 MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
-KEPT_BYTES = 1 << 30
+KEPT_BYTES = 1 << 30  # more than any stage frees at once
 MAX_VALUE = 2**63 - 1  # of whole numbers
-MAX_THREADS = 1024
+MAX_THREADS = 1024  # more is a slip of the keyboard
 
 # Names that seeds are derived from, by today's words: what was renamed draws what it drew before.
 SEED_NAMES = {"agnostic": "blind", "learning_curve": "timeline"}

@@ -15,8 +15,8 @@ from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.readers.foreign_arrays import load_arrays
 
-FPS = 60.0
-JOINTS = 24
+FPS = 60.0  # of the data set
+JOINTS = 24  # SMPL's
 SMALLEST = 1e-6  # scale of a body
 MAX_VALUE = 1e9  # of an angle or a place
 

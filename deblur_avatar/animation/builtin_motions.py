@@ -19,7 +19,7 @@ _INDEX = {name: index for index, name in enumerate(SMPL_JOINT_NAMES)}
 _MIRROR = {"x": 1.0, "y": -1.0, "z": -1.0}  # how the right side turns when it mirrors the left
 
 JACK_SECONDS = 1.1  # from one landing with feet together to the next
-JUMP_METRES = 0.10
+JUMP_METRES = 0.10  # how high the feet come
 
 
 def builtin_motion(name: str, fps: float, start: float, seconds: float) -> BodyMotion:

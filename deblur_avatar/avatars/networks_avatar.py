@@ -34,8 +34,8 @@ BOX_PADDING = 0.1  # of the canonical body's extent on each side (3DGS-Avatar)
 COLORS = 3  # features without a colour network: raw colours
 # Not parameters: enough for any body; how long and how strongly are `pretrain`, `early`, `late`.
 SKINNING_SAMPLES = 1024  # points on the body a step (3DGS-Avatar)
-PRETRAIN_SAMPLES = 4096
-PRETRAIN_RATE = 2e-3
+PRETRAIN_SAMPLES = 4096  # points on the body a step
+PRETRAIN_RATE = 2e-3  # of Adam
 POSE_NOISE_SHARE = 0.5  # of the steps have `pose_noise` (3DGS-Avatar), which can be 0
 
 

@@ -27,8 +27,8 @@ from deblur_avatar.body_estimation.triangulation import Triangulated
 GUESS_M = 0.12  # standard deviation of a detector's guess of depth
 STANDING_SPEED = 0.12  # heights a second in the picture; slower, and a foot stands
 STANDS_M_S = 0.1  # standard deviation of the speed of a foot that stands
-FEET = (29, 30, 31, 32)
-HIPS = (23, 24)
+FEET = (29, 30, 31, 32)  # MediaPipe's heels and toes
+HIPS = (23, 24)  # MediaPipe's
 _LIMBS = (
     (11, 13), (13, 15), (12, 14), (14, 16), (23, 25), (25, 27), (24, 26), (26, 28), (11, 23),
     (12, 24),

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-SHRINK = 4
+SHRINK = 4  # times: outlines need no more pixels
 INSIDE = 128  # of 255
 OUTLINE_POINTS = 96  # a matte
 SHORTEST_OUTLINE = 0.1  # share of the longest; shorter pieces are specks

@@ -18,7 +18,7 @@ SAMPLES = 24  # frames whose silhouettes are compared
 
 
 INSIDE = 127  # of a matte's 255: more is the person
-FULLY_INSIDE = 250
+FULLY_INSIDE = 250  # of 255: no background shows through
 
 
 SATURATED = 254  # sRGB code from which a channel holds no detail

@@ -20,9 +20,9 @@ from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
 
 MATCHED_WIDTH = 960  # pixels; larger frames are matched at this size
-FEATURES = 2000
+FEATURES = 2000  # a frame: a textured wall has more, a bare one fewer
 RATIO = 0.75  # of the best match's distance to the second best (Lowe 2004)
-RANSAC_PIXELS = 2.0
+RANSAC_PIXELS = 2.0  # from a homography, still an inlier
 FEWEST = 30  # inliers without which a homography means nothing
 KEY_INLIERS = 0.4  # share of a keyframe's inliers below which the frame before becomes a keyframe
 MAX_MOSAIC = 6.0  # area of the mosaic, in frames; beyond, a homography has run away

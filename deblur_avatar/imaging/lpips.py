@@ -30,7 +30,7 @@ STAGES = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512
 SMALLEST_SIDE = 2 ** (len(STAGES) - 1)  # pixels
 # ImageNet's mean and standard deviation for images in [-1, 1], as the heads were trained with.
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-NORM_FLOOR = 1e-10
+NORM_FLOOR = 1e-10  # as the published code has it
 # Of the two files named above; of the trunk's its publisher gives the beginning, in its name.
 WEIGHTS_SHA256 = "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0"
 HEADS_SHA256 = "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868"

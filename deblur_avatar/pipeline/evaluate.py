@@ -41,7 +41,7 @@ from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 logger = logging.getLogger(__name__)
 
-TIMED_FRAMES = 20
+TIMED_FRAMES = 20  # that the rate of rendering is the mean of
 
 
 @dataclass(frozen=True)

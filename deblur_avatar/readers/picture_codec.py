@@ -20,7 +20,7 @@ from PIL import Image
 from deblur_avatar.errors import ArtifactError
 
 MAX_PIXELS = 100_000_000  # of one picture: a file of a few kB can unfold to any size
-MAX_CHANNELS = 4
+MAX_CHANNELS = 4  # colours and coverage
 # What a file begins with, and OpenImageIO's name for it. It knows more kinds; none is wanted.
 KINDS = {
     b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpeg", b"II*\0": "tiff", b"MM\0*": "tiff",

@@ -29,7 +29,7 @@ LEFT_OUT = ("ceiling",)  # the oracle shows what a sharp input gives; one bound 
 BACKGROUND_STEP = 24  # sRGB codes by which the person differs from what is behind it
 MARGIN = 0.06  # around the person, as a share of her longer side
 HEIGHT, WIDTH = 320, 232  # pixels of a picture on the page
-MAX_ENLARGED = 2.0
+MAX_ENLARGED = 2.0  # times: more shows pixels, not the person
 
 
 def _below(name: str) -> str:

@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 Person = Float[np.ndarray, "33 3"]  # x, y, confidence
 
-COUNT = 33
+COUNT = 33  # landmarks of MediaPipe
 # MediaPipe's landmark of each point: nose, eyes, ears, shoulders, elbows, wrists, hips, knees,
 # ankles.
 _COCO_17 = dict(enumerate((0, 2, 5, 7, 8, 11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28)))

@@ -21,7 +21,7 @@ MAX_FRAMES = 40  # matched with each other
 SHARE_PLACED = 0.5  # of the frames that must be placed for the answer to be believed
 FIRST_GUESS = 1.0  # of the picture's longer side
 PLAUSIBLE = (0.4, 5.0)  # of the picture's longer side
-SEED = 1
+SEED = 1  # of RANSAC
 MAX_ERROR = 2.0  # pixels, mean reprojection error
 
 

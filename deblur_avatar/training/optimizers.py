@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 # Not parameters: of the method's definition, and of what no good fit comes near to.
 ADAM_EPSILON = 1e-15  # 3DGS: gradients of means are tiny
 MAX_IN_A_ROW = 10  # steps that may be left out before fitting gives up
-MAX_IN_ALL = 100
+MAX_IN_ALL = 100  # of a whole stage
 
 
 class Optimizers:

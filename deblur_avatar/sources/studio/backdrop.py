@@ -16,10 +16,10 @@ from jaxtyping import Float, Float32
 from deblur_avatar.imaging.color import srgb_to_linear
 
 TEXEL = 0.014  # metres: about a pixel of a picture 540 high at the facade's distance
-OCTAVES = 6
+OCTAVES = 6  # of the noise that surfaces are made of
 FACADE, FACADE_WIDTH, FACADE_HEIGHT = -6.0, 34.0, 12.0  # metres: its z, its size
-GROUND_NEAR, GROUND_WIDTH = 2.4, 30.0
-SKY, SKY_SIZE = -60.0, 160.0
+GROUND_NEAR, GROUND_WIDTH = 2.4, 30.0  # metres
+SKY, SKY_SIZE = -60.0, 160.0  # metres: its z, its size
 # Thin things that stand about: x, z, width, height in metres, and what they are.
 STANDING = (
     (-3.6, -4.6, 2.6, 4.8, "tree"), (3.9, -4.0, 2.4, 4.4, "tree"), (-1.7, -3.0, 0.12, 3.4, "post"),

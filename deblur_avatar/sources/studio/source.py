@@ -44,7 +44,7 @@ from deblur_avatar.sources.studio.motion import Moves, move
 from deblur_avatar.sources.studio.noise import disturb
 from deblur_avatar.sources.studio.person import Person, create_person
 
-SUBFRAMES = 8
+SUBFRAMES = 8  # instants a frame that true blur is summed of
 SEEN_CELLS = 3  # along a triangle's edge
 LIGHTING = Lighting(
     ambient=0.55, sky=0.25, lamps=(((0.5, 0.6, 1.0), 0.18), ((-0.6, 0.5, -0.8), 0.12))

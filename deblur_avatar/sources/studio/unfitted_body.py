@@ -24,7 +24,7 @@ from deblur_avatar.sources.studio.shells import smooth, vertex_normals
 
 WAVES, LENGTHS = 24, (0.12, 0.4)  # bumps of the surface: how many, from and to, metres
 SWING_HZ, DAMPING = 2.2, 0.25  # of hanging cloth: its own rate, its share of critical damping
-GRAVITY = 9.81
+GRAVITY = 9.81  # m/s^2
 MOST = 1.2  # of a swing, in units of gravity's pull
 STEP = 1 / 480  # seconds between steps of the pendulum
 HEAD = SMPL_JOINT_NAMES.index("head")
