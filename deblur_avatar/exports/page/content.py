@@ -29,8 +29,9 @@ from deblur_avatar.imaging.picture_files import jpeg_bytes
 from deblur_avatar.rendering import conventions
 
 MOST_INFLUENCES = 8  # joints that move a Gaussian; Anny's vertices blend to 5
-# 0.03 mm over 2 m; a thousandth of a scale; a quarter of an 8-bit colour's rounding error.
-BITS = {"means": 16, "quats": 14, "log_scales": 12, "opacities": 12, "colors": 12, "weights": 14,
+# 2 um over 2 m, so that Gaussians keep their order in depth (with 16 bits some pictures lose 6 dB);
+# a thousandth of a scale; a quarter of an 8-bit colour's rounding error.
+BITS = {"means": 20, "quats": 14, "log_scales": 12, "opacities": 12, "colors": 12, "weights": 14,
     "turns": 16}  # fmt: skip
 FRAMING_POSES = 16  # looked at to find what holds the person throughout
 MOST_LARGER = 1.3  # times the filmed motion that a view is wide at first, for motions that go far

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
-TYPES = {"uint8": "u1", "uint16": "u2", "int16": "i2", "float32": "f4"}
+TYPES = {"uint8": "u1", "uint16": "u2", "int16": "i2", "uint32": "u4", "float32": "f4"}
 CELLS = 1024  # along each axis, of the curve that rows are put in order along
 
 
@@ -34,7 +34,7 @@ def quantised(values: Float[np.ndarray, "rows columns"], bits: int) -> Packed:
     values = np.asarray(values, np.float64)
     low, high = values.min(0), values.max(0)
     step = np.maximum(high - low, 1e-12) / (2**bits - 1)
-    stored = np.rint((values - low) / step).astype(np.uint16)
+    stored = np.rint((values - low) / step).astype(np.uint16 if bits <= 16 else np.uint32)
     return Packed(stored, tuple(low.tolist()), tuple(step.tolist()))
 
 

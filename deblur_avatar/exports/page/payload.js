@@ -4,7 +4,7 @@
 // each array its type and where it starts and, of quantised ones, the value of zero and the step of each
 // column. Arrays lie column by column, of each column first all lowest bytes. They come out row by row.
 
-const TYPES = { u1: Uint8Array, u2: Uint16Array, i2: Int16Array, f4: Float32Array };
+const TYPES = { u1: Uint8Array, u2: Uint16Array, i2: Int16Array, u4: Uint32Array, f4: Float32Array };
 
 async function readPayload(text) {
   const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
