@@ -11,7 +11,8 @@ import pytest
 from deblur_avatar.pipeline.code import cpp_tokens, fingerprints, import_closure, refresh, scripts
 
 ROOT = Path(__file__).parents[2]
-FITTING = {"warmup", "trajectory", "fusion", "stability", "stability_scene", "stability_report"}
+SUITE = {"stability", "stability_scene", "stability_report", "self_check_cases"}
+FITTING = {"warmup", "trajectory", "fusion", *SUITE}
 FILES = {
     "stages/cut.py": "from pathlib import Path\nfrom deblur_avatar.pipeline.cut import cut\n",
     "stages/sew.py": "import deblur_avatar.pipeline.glue\n",
