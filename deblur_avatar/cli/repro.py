@@ -59,21 +59,20 @@ def targets(params_file: Path, missing: Collection[str]) -> list[str]:
     """What to ask DVC for: nothing (all of it), or the last stages of scenes that are made."""
     if not missing:
         return []
-    runs = read_yaml(params_file)["runs"]
+    content = read_yaml(params_file)
+    runs = content["runs"]
     kept = [name for name, run in runs.items() if run["scene"] not in missing]
-    shown = {"animate": "animations", "export": "exports"}  # sections of some of the runs
+    sections = {  # of runs, by the stage that goes through them
+        "self_check": "self_checks", "evaluate": "runs", "learning_curve": "learning_curves",
+        "animate": "animations", "export": "exports",
+    }  # fmt: skip
     scenes = dict.fromkeys(runs[name]["scene"] for name in kept)
     return [
         *(f"check@{scene}" for scene in scenes),
         *(
             f"{stage}@{name}"
-            for name in kept
-            for stage in ("self_check", "evaluate", "learning_curve")
-        ),
-        *(
-            f"{stage}@{name}"
-            for stage, section in shown.items()
-            for name in read_yaml(params_file)[section]
+            for stage, section in sections.items()
+            for name in content[section]
             if name in kept
         ),
     ]
