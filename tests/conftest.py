@@ -2,7 +2,7 @@
 
 import copy
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,19 @@ from deblur_avatar.config.reading import parse, read_yaml
 from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
+from tests.exports.browser import chromium
 from tests.filmed_scene import Scene, film
 
 SIZE = 24  # pixels
 
 PLAIN = PlainParams(kind="plain")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """One Chromium for all tests of a process."""
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture(scope="session")

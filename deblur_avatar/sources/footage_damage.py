@@ -106,7 +106,7 @@ def light_drift(frames: UInt8[Tensor, "F H W 3"]) -> Float[np.ndarray, " 3"]:
 def _steps(frames: UInt8[Tensor, "F H W 3"]) -> Float64[np.ndarray, " steps"]:
     small = [_small(frame) for frame in frames]
     pairs = zip(small, small[1:], strict=False)
-    return np.array([np.abs(after - before).mean() for before, after in pairs])
+    return np.array([np.abs(after - before).mean() for before, after in pairs], np.float64)
 
 
 def _small(frame: UInt8[Tensor, "H W 3"]) -> Float[np.ndarray, "h w 3"]:

@@ -11,7 +11,7 @@ from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.page.export import PageExport
 from deblur_avatar.exports.registry import ExportParams
 from deblur_avatar.motion.frame import FixedMotion
-from tests.exports.browser import chromium, silent_page
+from tests.exports.browser import silent_page
 
 PAGE = {
     "format": "page",
@@ -20,12 +20,6 @@ PAGE = {
     "seconds": 1.2,
     "pictures": 3,
 }
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture

@@ -37,7 +37,9 @@ def shown(request, rough, fitted_run, page_exporter, page, tmp_path):
     model = rough(request.param)
     run = fitted_run(model)
     page_exporter.export(run, tmp_path / "avatar.html")
-    motions = {motion.name: motion for motion in shown_motions(run, page_exporter.motions, 30, 1.2)}
+    motions = {
+        motion.name: motion for motion in shown_motions(run, page_exporter.motions, 30.0, 1.2)
+    }
     return model, motions, opened(page, tmp_path / "avatar.html")
 
 

@@ -12,7 +12,7 @@ def test_it_writes_the_report_and_prints_the_table_and_where_it_lies(tmp_path):
     names = ("oracle", "agnostic", "paper")
     like = "scene: studio, observations: sharp, avatar: plain"
     runs = [f"  studio-{name}: {{{like}, method: {name}}}\n" for name in names]
-    text = f"seed: 0\nanimations: {{}}\nruns:\n{''.join(runs)}"
+    text = f"seed: 0\nanimations: {{}}\nwithout_pictures: []\nruns:\n{''.join(runs)}"
     (tmp_path / "params.yaml").write_text(text)
     files = {
         "metrics": "metrics", "pictures": "evaluate", "animations": "animate", "out": "reports",

@@ -29,7 +29,7 @@ def speed(rotations):
 @pytest.mark.parametrize("name", STABILITY_MOTIONS)
 def test_every_motion_is_finite_and_of_the_times_asked_for(name):
     moves = stability_move(name, TIMES, SECONDS)
-    for values in vars(moves).values():
+    for values in [part for part in vars(moves).values() if part is not None]:
         assert len(values) == len(TIMES)
         assert torch.isfinite(values).all()
 

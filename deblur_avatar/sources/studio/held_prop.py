@@ -44,7 +44,7 @@ def create_prop(body: Body, betas: Float[torch.Tensor, " B"], params: HeldPropPa
     """A shaft and a round head, pointing forward out of a resting hand."""
     hand = shaped_joints(body, betas)[HAND].double().numpy()
     length = params.length_m
-    shaft = _box((-THICKNESS, -THICKNESS, 0), (THICKNESS, THICKNESS, (1 - 2 * RADIUS) * length))
+    shaft = _box((-THICKNESS, -THICKNESS, 0.0), (THICKNESS, THICKNESS, (1 - 2 * RADIUS) * length))
     angle = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
     rim = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], -1) * RADIUS * length
     rim[:, 2] += (1 - RADIUS) * length
