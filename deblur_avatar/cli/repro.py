@@ -68,7 +68,8 @@ def targets(params_file: Path, missing: Collection[str]) -> list[str]:
     }  # fmt: skip
     scenes = dict.fromkeys(runs[name]["scene"] for name in kept)
     return [
-        *(f"check@{scene}" for scene in scenes),
+        *(f"{stage}@{scene}" for scene in scenes for stage in ("score_blur", "check")),
+        *(f"score_predeblur@{scene}" for scene in content["predeblur"] if scene in scenes),
         *(
             f"{stage}@{name}"
             for stage, section in sections.items()

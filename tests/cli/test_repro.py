@@ -96,6 +96,7 @@ def test_what_can_be_made_is_every_run_of_the_other_scenes(folder, tiny_content)
     wanted = repro.targets(folder / "params.yaml", {"courtyard_mono": "gone"})
     runs = [name for name, run in tiny_content["runs"].items() if run["scene"] == "studio"]
     assert {f"evaluate@{name}" for name in runs} <= set(wanted)
+    assert {"check@studio", "score_blur@studio", "score_predeblur@studio"} <= set(wanted)
     assert not any("courtyard_mono" in name for name in wanted)
     animated = [name for name in tiny_content["animations"] if name in runs]
     assert {f"animate@{name}" for name in animated} <= set(wanted)
