@@ -11,6 +11,7 @@ import torch
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
+from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
@@ -18,6 +19,7 @@ from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import parse, read_yaml
 from deblur_avatar.geometry.cameras import look_at
+from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 from tests.exports.browser import chromium
@@ -214,3 +216,39 @@ def scene(
 ) -> Scene:
     """What the stages after fitting read."""
     return film(painted(frames=8), make_observations(frames=8))
+
+
+def fine_avatar(body: Body) -> PlainAvatar:
+    """Two thousand small Gaussians on the surface."""
+    model = colourful(body, 5, count=2000)
+    with torch.no_grad():
+        model.gaussians.log_scales.clamp_(max=-3.7)  # 2.5 cm
+    return model
+
+
+def filmed_with(observations: Observations, model: PlainAvatar) -> Observations:
+    """The same frames with this avatar in them."""
+    images, alphas = render_avatar(model, observations.poses, observations.camera)
+    return dataclasses.replace(
+        observations,
+        frames=(images * 255).round().to(torch.uint8),
+        mattes=(alphas * 255).round().to(torch.uint8),
+    )
+
+
+@pytest.fixture(scope="session")
+def filmed(make_observations: Callable[..., Observations], body: Body) -> Observations:
+    """Observations of the fine avatar: what a perfect fit is."""
+    return filmed_with(make_observations(size=96), fine_avatar(body))
+
+
+@pytest.fixture(scope="session")
+def motion(filmed: Observations) -> Motion:
+    """How the person in `filmed` moved."""
+    return FixedMotion(filmed.poses).to_artifact(filmed.poses.betas, filmed.timestamps)
+
+
+@pytest.fixture
+def avatar(body: Body) -> PlainAvatar:
+    """The avatar in `filmed`, to be spoilt."""
+    return fine_avatar(body)

@@ -17,25 +17,8 @@ from deblur_avatar.evaluation.avatar_measures import (
     spaced,
     turntable,
 )
-from deblur_avatar.motion.frame import FixedMotion
-from tests.filmed_avatar import filmed_with, fine_avatar
 
 TRAIN = [0, 1, 2, 3]
-
-
-@pytest.fixture(scope="module")
-def filmed(make_observations, body):
-    return filmed_with(make_observations(size=96), fine_avatar(body))
-
-
-@pytest.fixture(scope="module")
-def motion(filmed):
-    return FixedMotion(filmed.poses).to_artifact(filmed.poses.betas, filmed.timestamps)
-
-
-@pytest.fixture
-def avatar(body):
-    return fine_avatar(body)
 
 
 def displaced(avatar, share: float, metres: float):

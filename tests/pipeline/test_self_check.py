@@ -1,31 +1,13 @@
 import dataclasses
 import json
 
-import pytest
 import torch
 
-from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.pipeline.self_check import self_check
 from deblur_avatar.reporting.self_check_pictures import draw_self_check, self_check_page
-from tests.filmed_avatar import filmed_with, fine_avatar
 from tests.stages.running import run_script
 
 CPU = torch.device("cpu")
-
-
-@pytest.fixture(scope="module")
-def filmed(make_observations, body):
-    return filmed_with(make_observations(size=96), fine_avatar(body))
-
-
-@pytest.fixture(scope="module")
-def motion(filmed):
-    return FixedMotion(filmed.poses).to_artifact(filmed.poses.betas, filmed.timestamps)
-
-
-@pytest.fixture
-def avatar(body):
-    return fine_avatar(body)
 
 
 def failed(observations, avatar, motion) -> set[str]:
