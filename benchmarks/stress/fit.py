@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 
@@ -11,6 +12,7 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.config.reading import load_params
 from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.fusion import fuse
 from deblur_avatar.pipeline.trajectory import fit_trajectory
@@ -46,6 +48,18 @@ class FitSetup:
     validation_stride: int
     seed: int
     device: torch.device
+
+    @classmethod
+    def of(cls, method: str, params_file: Path, seed: int, device: torch.device) -> "FitSetup":
+        """Read the setup of one method of the suite."""
+        return cls(
+            load_params(params_file, "avatars.lean", RecipeParams),
+            load_params(params_file, f"methods.{method}", MethodParams),
+            load_params(params_file, "schedules.suite", ScheduleParams),
+            load_params(params_file, "validation_stride", int),
+            seed,
+            device,
+        )
 
 
 def fit_method(

@@ -27,17 +27,18 @@ _NAMES_IN_CODE = {there: here for here, there in NAMES_ON_DISK.items()}
 class Motion(Artifact):
     """How the body moved while the shutter was open, at instants `u` of every exposure.
 
-    `centre` is the pose that a sharp picture of each frame is rendered with; `counts` are how many
-    instants of each exposure fitting took. `parameters` hold the unknowns of the trajectory `kind`
-    so that a later stage can go on.
+    `centre` is the pose that a sharp picture of each frame is rendered with; `num_samples` are how
+    many instants of each exposure fitting took. `parameters` hold the unknowns of the trajectory
+    `kind` so that a later stage can go on.
     """
 
     schema: ClassVar[str] = "motion/2"
+    names_on_disk: ClassVar[Mapping[str, str]] = {"num_samples": "counts"}
 
     kind: str
     u: Float32[Tensor, " S"]  # in [0, 1], 0 when the shutter opens
     timestamps: Float32[Tensor, " F"]
-    counts: Int64[Tensor, " F"]
+    num_samples: Int64[Tensor, " F"]
     shutter: float | None  # seconds it was open, where the motion estimated that
     global_orient: Float32[Tensor, "F S 3"]
     body_pose: Float32[Tensor, "F S K 3"]

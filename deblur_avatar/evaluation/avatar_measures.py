@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -23,10 +22,11 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
 from deblur_avatar.evaluation.reblur import reblurred
+from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
 MARGIN = 0.15  # metres that clothes and hair may stand off the body
 FRAMES = 12  # of the training camera that are looked at
@@ -75,14 +75,14 @@ def filmed_looks(
     looks = []
     for position in positions:
         image, alpha = reblurred(model, observations, motion, position)
-        poses = motion.centre.at([position])
-        looks.append(Look(image, alpha, silhouette_distance(body, poses, observations.camera)))
+        surface = posed(body, motion.centre.at([position]))
+        looks.append(Look(image, alpha, silhouette_distance(surface, observations.camera)))
     return looks
 
 
 def turntable(model: AvatarModel, observations: Observations, motion: Motion) -> list[Look]:
     """The avatar from all sides, each in the pose of another training frame."""
-    chosen = spaced(observations.train, SIDES)
+    chosen = evenly_spaced(observations.train, SIDES)
     body = observations.body
     joints = posed(body, motion.centre.at(list(observations.train))).joints
     trunks = joints[:, body.joint_names.index("neck")] - joints[:, 0]
@@ -92,7 +92,7 @@ def turntable(model: AvatarModel, observations: Observations, motion: Motion) ->
         poses = motion.centre.at([chosen[side * len(chosen) // SIDES]])
         camera = _beside(observations, poses, 2 * np.pi * side / SIDES * up)
         image, alpha = render_avatar(model, poses, camera)
-        distance = silhouette_distance(observations.body, poses, camera)
+        distance = silhouette_distance(posed(body, poses), camera)
         looks.append(Look(image[0].cpu(), alpha[0].cpu(), distance))
     return looks
 
@@ -109,29 +109,6 @@ def _beside(observations: Observations, poses: Poses, angle: Float[Tensor, " 3"]
     size = TURNTABLE_SIZE
     K = framed_intrinsics(surface.vertices, camera.K, viewmat, size, ROOM)
     return Camera(K, viewmat, size, size)
-
-
-def silhouette_distance(body: Body, poses: Poses, camera: Camera) -> Float[np.ndarray, "H W"]:
-    """Metres, at the body's depth, from each pixel to the silhouette of one pose.
-
-    Infinite everywhere if the body is not in the picture.
-    """
-    inside = _triangles(body, poses, camera) >= 0
-    if not inside.any():
-        return np.full(inside.shape, np.inf)
-    pelvis = posed(body, poses).joints[0, 0]
-    depth = float((camera.viewmat[:3, :3] @ pelvis + camera.viewmat[:3, 3])[2])
-    metres = depth / float(camera.K[0, 0])
-    return np.asarray(distance_transform_edt(~inside) * metres)
-
-
-def _triangles(body: Body, poses: Poses, camera: Camera) -> Int[np.ndarray, "H W"]:
-    """Which triangle of the body each pixel sees; -1 for none."""
-    K, viewmat = (part.double().cpu().numpy() for part in (camera.K, camera.viewmat))
-    view = View(K, viewmat, camera.width, camera.height, samples_per_axis=1)
-    vertices = posed(body, poses).vertices[0].numpy()
-    hits = cast_rays(vertices, body.faces.numpy(), view.centre, view.directions.reshape(-1, 3))
-    return hits.triangle.reshape(camera.height, camera.width)
 
 
 def far_share(model: AvatarModel) -> float | None:
@@ -192,7 +169,8 @@ def parts_inside(
     labels = _part_of_triangles(observations.body)
     met: dict[str, list[float]] = {}
     for position in positions:
-        triangles = _triangles(observations.body, motion.centre.at([position]), observations.camera)
+        surface = posed(observations.body, motion.centre.at([position]))
+        triangles = body_triangles(surface, observations.camera)
         person = observations.mattes[position].numpy() >= CLEAR
         for part, name in enumerate(PARTS):
             shown: Bool[np.ndarray, "H W"] = (triangles >= 0) & (labels[triangles] == part)
@@ -210,9 +188,3 @@ def _part_of_triangles(body: Body) -> Int[np.ndarray, " T"]:
         joints[joint] = named[0] if named else inherited
     strongest = body.lbs_weights.argmax(1).numpy()
     return joints[strongest[body.faces[:, 0].numpy()]]
-
-
-def spaced(positions: Sequence[int], count: int) -> list[int]:
-    """At most `count` of some positions, evenly spaced."""
-    steps = np.linspace(0, len(positions) - 1, min(count, len(positions))).round().astype(int)
-    return [positions[step] for step in steps]

@@ -16,8 +16,9 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import FilmedTruth, Reference
 from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.evaluation.body_silhouette import INSIDE
 from deblur_avatar.evaluation.registration import similarity
-from deblur_avatar.evaluation.truth_views import INSIDE, cut_as_observed
+from deblur_avatar.evaluation.truth_views import cut_as_observed
 
 
 def estimated_steps(

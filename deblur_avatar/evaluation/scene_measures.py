@@ -10,14 +10,14 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.evaluation.body_silhouette import INSIDE, body_triangles
+from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
 SAMPLES = 24  # frames whose silhouettes are compared
 
 
-INSIDE = 127  # of a matte's 255: more is the person
 FULLY_INSIDE = 250  # of 255: no background shows through
 
 
@@ -84,18 +84,14 @@ def coverage(azimuths: Float[np.ndarray, " F"]) -> float:
 
 def silhouette(observations: Observations, position: int) -> Bool[np.ndarray, "H W"]:
     """The estimated body in one frame."""
-    view = View.of(observations.cameras, observations.train_camera, samples_per_axis=1)
-    vertices = posed(observations.body, observations.poses.at([position])).vertices[0]
-    rays = view.directions.reshape(-1, 3)
-    hits = cast_rays(vertices.numpy(), observations.body.faces.numpy(), view.centre, rays)
-    return (hits.triangle >= 0).reshape(view.height, view.width)
+    surface = posed(observations.body, observations.poses.at([position]))
+    return body_triangles(surface, observations.camera) >= 0
 
 
 def spaced_frames(observations: Observations, count: int) -> list[int]:
     """Frames with a person, evenly over the clip."""
     shown = torch.nonzero(observations.weights > 0).flatten().tolist()
-    steps = np.linspace(0, len(shown) - 1, min(count, len(shown))).round().astype(int)
-    return [shown[step] for step in steps]
+    return evenly_spaced(shown, count)
 
 
 def height_px(observations: Observations, joints: Float[Tensor, "F J 3"]) -> float | None:

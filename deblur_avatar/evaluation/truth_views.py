@@ -19,13 +19,13 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.bodies.posed_body import posed_meshes
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.body_silhouette import INSIDE
 from deblur_avatar.imaging.resampling import Crop, crop_and_scale
 from deblur_avatar.rendering.mesh_rendering import View
 from deblur_avatar.rendering.visibility import seen_cells, seen_pixels
 
 logger = logging.getLogger(__name__)
 
-INSIDE = 127  # of a matte's 255: more is the person
 SEEN_CELLS = 2  # along a triangle's edge of the body, whose triangles are about a pixel wide
 RAYS_PER_AXIS = 2  # of a pixel
 

@@ -19,11 +19,10 @@ from deblur_avatar import run as stage
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.bodies import smpl
 from deblur_avatar.bodies.posed_body import shaped_joints, shaped_vertices
-from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.gltf_file import TRIANGLES, VERTICES, GltfFile
 from deblur_avatar.exports.posed_gaussians import canonical_colors
-from deblur_avatar.exports.shown_motion import ShownMotion, shown_motions
+from deblur_avatar.exports.shown_motion import MotionExport, ShownMotion, shown_motions
 from deblur_avatar.exports.upright import Upright, rest_pelvis, upright_of
 from deblur_avatar.geometry.rotations import continuous
 from deblur_avatar.imaging.color import srgb_to_linear
@@ -32,15 +31,12 @@ PAINTERS = 8  # nearest Gaussians that colour a vertex
 MOST_INFLUENCES = 8  # joints a vertex, in two attributes of four
 
 
-class GltfRigExport(Params):
+class GltfRigExport(MotionExport):
     """A skeleton in motion, with or without a body."""
 
     suffix: ClassVar[str] = ".glb"
 
     format: Literal["gltf_rig"]
-    motions: tuple[str, ...]  # own, builtin:<name> or files
-    fps: Positive  # of motions that were not filmed
-    seconds: Positive  # longest duration of these
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write skeleton, motions and body; no body where its licence keeps it."""

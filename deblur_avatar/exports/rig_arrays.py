@@ -12,22 +12,18 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from deblur_avatar import run as stage
-from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.rigged import rigged_avatar
-from deblur_avatar.exports.shown_motion import shown_motions
+from deblur_avatar.exports.shown_motion import MotionExport, shown_motions
 from deblur_avatar.geometry.rotations import axis_angle_to_quat
 
 
-class RigArraysExport(Params):
+class RigArraysExport(MotionExport):
     """Gaussians, joints, weights and motions."""
 
     suffix: ClassVar[str] = ".npz"
 
     format: Literal["rig_arrays"]
-    motions: tuple[str, ...]  # own, builtin:<name> or files
-    fps: Positive  # of motions that were not filmed
-    seconds: Positive  # longest duration of these
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write one file with all arrays."""

@@ -16,10 +16,19 @@ from deblur_avatar.animation.driving_motion import turn_between
 from deblur_avatar.animation.motion_files import BUILTIN, read_motion
 from deblur_avatar.animation.placement import place
 from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 
 OWN = "own"  # the motion that was filmed
+
+
+class MotionExport(Params):
+    """Which motions an export holds."""
+
+    motions: tuple[str, ...]  # own, builtin:<name> or files
+    fps: Positive  # of motions that were not filmed
+    seconds: Positive  # longest duration of these
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,7 @@ class Trajectory(nn.Module, ABC):
             kind=self.kind,
             u=self.u.cpu(),
             timestamps=timestamps,
-            counts=self.num_samples(len(timestamps)).cpu(),
+            num_samples=self.num_samples(len(timestamps)).cpu(),
             shutter=self.estimated_shutter(timestamps),
             global_orient=axis_angle[:, :, 0],
             body_pose=axis_angle[:, :, 1:],

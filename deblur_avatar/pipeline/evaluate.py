@@ -24,7 +24,8 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.half_precision import as_computed
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
-from deblur_avatar.evaluation.avatar_measures import silhouette_distance
+from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.evaluation.body_silhouette import body_triangles
 from deblur_avatar.evaluation.color_alignment import color_aligned
 from deblur_avatar.evaluation.comparisons import (
     Comparison,
@@ -145,7 +146,7 @@ def _of_real_cameras(
     for view in (comparison.view for comparison in comparisons):
         camera = observations.cameras.camera(view.camera)
         pose = pose_of_view(observations, motion, view)
-        body = silhouette_distance(observations.body, pose, camera) == 0
+        body = body_triangles(posed(observations.body, pose), camera) >= 0
         person = view.foreground.numpy()
         ious.setdefault(names[view.camera], []).append(
             (body & person).sum() / (body | person).sum()
@@ -207,7 +208,7 @@ def _size(avatar: Avatar, motion: Motion, train: Sequence[int]) -> dict[str, Any
         "gaussians": len(avatar.means),
         "parameters": sum(tensor.numel() for tensor in tensors),
         "megabytes": sum(tensor.numel() * tensor.element_size() for tensor in tensors) / 1e6,
-        "virtual_poses_mean": float(motion.counts[list(train)].double().mean()),
+        "virtual_poses_mean": float(motion.num_samples[list(train)].double().mean()),
         "parts": [*parts, f"motion:{motion.kind}"],
     }
 

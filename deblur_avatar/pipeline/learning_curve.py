@@ -20,6 +20,7 @@ from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
 from deblur_avatar.evaluation.metrics import recovered_metrics
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
+from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 VIEWS = (
@@ -53,7 +54,8 @@ def learning_curve(
     Raises:
         ArtifactError: if a snapshot is damaged.
     """
-    views = _evenly(truth_views(observations, reference))
+    novel = [view for view in truth_views(observations, reference) if not view.novel_pose]
+    views = evenly_spaced(novel, VIEWS)
     moments = moments_of(stages)
     points = [
         _scored(moment, observations, reference, views, device)
@@ -104,13 +106,6 @@ def _scored(
         "image": scores and {row.name: scores[row.name] for row in recovered_metrics()},
         "validation_psnr": mean_reblur_psnr(model, observations, motion, observations.validation),
     }
-
-
-def _evenly(views: Sequence[TruthView]) -> list[TruthView]:
-    """Some of the novel views, evenly over cameras and instants."""
-    novel = [view for view in views if not view.novel_pose]
-    steps = torch.linspace(0, len(novel) - 1, min(VIEWS, len(novel))).round().long().tolist()
-    return [novel[step] for step in steps]
 
 
 def _size_mb(folder: Path) -> float:

@@ -26,6 +26,7 @@ from deblur_avatar.body_estimation.fit_quality import measure_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
 from deblur_avatar.body_estimation.occluded_surface import occluded_fraction
 from deblur_avatar.body_estimation.person_choice import detect_main_person
+from deblur_avatar.body_estimation.person_crops import person_crops
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.config.section import (
@@ -34,7 +35,7 @@ from deblur_avatar.config.section import (
 )
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.imaging.backgrounds import BackgroundKind, background_of
+from deblur_avatar.imaging.backgrounds import Background, BackgroundKind, background_of
 from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
 from deblur_avatar.imaging.matting import (
     comparable_pixels,
@@ -44,8 +45,6 @@ from deblur_avatar.imaging.matting import (
 from deblur_avatar.imaging.resampling import (
     Crop,
     crop_and_scale,
-    crop_and_scale_intrinsics,
-    crop_around,
     undistort,
 )
 
@@ -116,33 +115,33 @@ def preprocess(
     """
     clip = _straightened(clip)
     row = clip.recorded.index(clip.train_camera)
-    people: list[Landmarks] = []
-    kind = params.background
+    people, kind = cast(list[Landmarks], []), params.background
     if params.masks != "given" or params.poses == "estimated":
-        people = _people(clip, params, detect)
-        kind = background_of(kind, clip.frames[row], people[row].mattes).kind
-        people = [_trimmed(f, p, kind) for f, p in zip(clip.frames, people, strict=True)]
+        people, kind = _without_background(clip, row, kind, _people(clip, params, detect))
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
-    crops, cameras = _crops(clip.cameras, body, track.poses, params.margin, image_height)
-    crop, size = crops[clip.train_camera], _size(cameras, clip.train_camera)
+    crops, cameras = person_crops(clip.cameras, body, track.poses, params.margin, image_height)
     background = background_of(kind, clip.frames[row], mattes)
     if params.masks == "swept":
         mattes = swept_mattes(mattes, clip, body, track.poses)
+    width, height = cameras.sizes[clip.train_camera].tolist()
+
+    def cut(images: Tensor) -> Tensor:
+        return crop_and_scale(images, crops[clip.train_camera], (width, height))
 
     def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
         if background.plates is not None:
             space = cast(AveragingSpace, clip.averaging_space)
             frames = lift_person(frames, mattes, background.plates, space)
-        return crop_and_scale(frames, crop, size), crop_and_scale(mattes, crop, size)
+        return cut(frames), cut(mattes)
 
-    cut = cut_out(clip.frames[row], mattes)
     comparable = None
     if background.plates is not None and background.has_gaps:
-        comparable = crop_and_scale(comparable_pixels(mattes, background.plates), crop, size)
-    blurred = _observations(clip, body, params, track, shown, (*cut, comparable), crops, cameras)
+        comparable = cut(comparable_pixels(mattes, background.plates))
+    pictures = (*cut_out(clip.frames[row], mattes), comparable)
+    blurred = _observations(clip, body, params, track, shown, pictures, crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
         frames, cut_mattes = cut_out(clip.sharp_frames, sharp_mattes)
@@ -281,14 +280,26 @@ def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) 
     return [person]
 
 
+def _without_background(
+    clip: BlurryClip, row: int, kind: BackgroundKind, people: list[Landmarks]
+) -> tuple[list[Landmarks], BackgroundKind]:
+    """Every camera's mattes trimmed; the training camera settles the kind for all of them."""
+    settled = background_of(kind, clip.frames[row], people[row].mattes)
+    trimmed = []
+    for index, (frames, person) in enumerate(zip(clip.frames, people, strict=True)):
+        own = index == row
+        background = settled if own else background_of(settled.kind, frames, person.mattes)
+        trimmed.append(_trimmed(frames, person, background))
+    return trimmed, settled.kind
+
+
 def _trimmed(
-    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, kind: BackgroundKind
+    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, background: Background
 ) -> Landmarks:
     """The person, the mattes trimmed where the background is known."""
-    plates = background_of(kind, frames, person.mattes).plates
-    if plates is None:
+    if background.plates is None:
         return person
-    return replace(person, mattes=trim_mattes(frames, person.mattes, plates))
+    return replace(person, mattes=trim_mattes(frames, person.mattes, background.plates))
 
 
 def _mattes(
@@ -306,8 +317,9 @@ def _mattes(
         return clip.mattes[row], clip.sharp_mattes
     if clip.sharp_frames is None:
         return people[row].mattes, None
-    sharp = _trimmed(clip.sharp_frames, detect(clip.sharp_frames), kind)
-    return people[row].mattes, sharp.mattes
+    sharp = detect(clip.sharp_frames)
+    background = background_of(kind, clip.sharp_frames, sharp.mattes)
+    return people[row].mattes, _trimmed(clip.sharp_frames, sharp, background).mattes
 
 
 def _checked(poses: Poses | None, name: str, body: Body) -> Poses:
@@ -347,36 +359,6 @@ def _check_in_front(
             f"joint {-float(depths.max()):.2f} m; check the extrinsics (world to camera, OpenCV: "
             "+Z forward) and the poses"
         )
-
-
-def _crops(
-    cameras: Cameras, body: Body, poses: Poses, margin: float, image_height: int
-) -> tuple[list[Crop], Cameras]:
-    """A crop for each camera, and the cameras that see the crops scaled to `image_height`."""
-    vertices = posed(body, poses).vertices
-    crops, Ks, sizes = [], [], []
-    for index, name in enumerate(cameras.names):
-        width, height = _size(cameras, index)
-        crop = (0, 0, width, height)
-        if height > image_height:
-            pixels, _ = project(vertices, cameras.Ks[index], cameras.viewmats[index])
-            boxes = torch.cat([pixels.amin(1), pixels.amax(1)], dim=-1)
-            try:
-                crop = crop_around(boxes, margin, (width, height))
-            except ValueError as error:
-                raise ArtifactError(f"camera {name}: {error}; check the calibration") from error
-        shrink = min(1.0, image_height / crop[3])
-        size = (max(1, round(crop[2] * shrink)), max(1, round(crop[3] * shrink)))
-        crops.append(crop)
-        sizes.append(size)
-        Ks.append(crop_and_scale_intrinsics(cameras.Ks[index], crop, size))
-    return crops, replace(cameras, Ks=torch.stack(Ks), sizes=torch.tensor(sizes))
-
-
-def _size(cameras: Cameras, index: int) -> tuple[int, int]:
-    """Width and height of a camera's pictures."""
-    width, height = cameras.sizes[index].tolist()
-    return width, height
 
 
 def _split(

@@ -22,10 +22,10 @@ from deblur_avatar.evaluation.avatar_measures import (
     filmed_looks,
     outside_share,
     parts_inside,
-    spaced,
     turntable,
 )
 from deblur_avatar.evaluation.findings import Scale, judged, worst
+from deblur_avatar.evaluation.spacing import evenly_spaced
 
 _SURROUNDINGS = (
     "The avatar holds something that is not the person: look at masks and background "
@@ -88,8 +88,8 @@ def self_check(
         limb that the masks confirm.
     """
     model = avatar_from_artifact(avatar, observations.body, device)
-    trained = spaced(observations.train, FRAMES)
-    aside = spaced(observations.validation or observations.train, FRAMES)
+    trained = evenly_spaced(observations.train, FRAMES)
+    aside = evenly_spaced(observations.validation or observations.train, FRAMES)
     filmed = filmed_looks(model, observations, motion, trained)
     explained = filmed_looks(model, observations, motion, aside)
     sides = turntable(model, observations, motion)

@@ -17,11 +17,8 @@ from jaxtyping import Bool, UInt8
 from deblur_avatar.animation.placement import stage_rotation
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
-from deblur_avatar.evaluation.scene_measures import (
-    INSIDE,
-    silhouette,
-    spaced_frames,
-)
+from deblur_avatar.evaluation.body_silhouette import INSIDE
+from deblur_avatar.evaluation.scene_measures import silhouette, spaced_frames
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.imaging.contact_sheets import contact_sheet

@@ -18,6 +18,7 @@ from jaxtyping import UInt8
 from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.reporting.results_table import method_order
@@ -79,7 +80,7 @@ def strips_of_scene(folders: Mapping[str, Path], max_strips: int) -> list[Strip]
     common = (
         [key for key in views[shown[0]] if all(key in views[m] for m in shown)] if shown else []
     )
-    chosen = [common[index] for index in _evenly(len(common), max_strips)]
+    chosen = evenly_spaced(common, max_strips)
     return [_strip({m: (folders[m], views[m][key]) for m in shown}) for key in chosen]
 
 
@@ -105,13 +106,6 @@ def _views(folder: Path) -> dict[tuple[str, int], _View]:
     except (ValueError, RecursionError) as error:
         raise ArtifactError(f"{path} is damaged: {error!r}; run `dvc repro`") from None
     return {(view.camera, view.frame): view for view in views}
-
-
-def _evenly(count: int, max_count: int) -> list[int]:
-    """At most `max_count` of `count` places, evenly spaced, the first and last among them."""
-    if count <= max_count:
-        return list(range(count))
-    return sorted({round(place) for place in np.linspace(0, count - 1, max_count)})
 
 
 def _strip(views: Mapping[str, tuple[Path, _View]]) -> Strip:

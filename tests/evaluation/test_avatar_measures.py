@@ -13,8 +13,6 @@ from deblur_avatar.evaluation.avatar_measures import (
     filmed_looks,
     outside_share,
     parts_inside,
-    silhouette_distance,
-    spaced,
     turntable,
 )
 
@@ -57,17 +55,6 @@ def test_an_avatar_that_covers_nothing_has_no_share(avatar, filmed, motion):
     assert outside_share(filmed_looks(avatar, filmed, motion, TRAIN)) is None
 
 
-def test_distances_are_metres_at_the_depth_of_the_body(filmed):
-    poses, camera = filmed.poses.at([0]), filmed.camera
-    distance = silhouette_distance(filmed.body, poses, camera)
-    inside = distance == 0
-    row, column = (int(place) for place in np.argwhere(inside)[0])  # the top of the head
-    # Five pixels above it; the camera stands 4 m away.
-    assert distance[row - 5, column] == pytest.approx(5 * 4 / float(camera.K[0, 0]), rel=0.05)
-    away = dataclasses.replace(poses, transl=poses.transl + torch.tensor([50.0, 0, 0]))
-    assert np.isinf(silhouette_distance(filmed.body, away, camera)).all()
-
-
 def test_a_perfect_avatar_explains_everything_and_the_mean_colour_nothing(avatar, filmed, motion):
     looks = filmed_looks(avatar, filmed, motion, TRAIN)
     assert explained_share(filmed, looks, TRAIN) > 0.99
@@ -97,9 +84,3 @@ def test_a_limb_that_the_masks_do_not_confirm_is_found(filmed, motion):
     told = parts_inside(filmed, wrong, TRAIN)
     assert told["left arm"] < 0.3
     assert min(share for part, share in told.items() if part != "left arm") > 0.9
-
-
-def test_positions_are_evenly_spaced():
-    assert spaced(range(10), 4) == [0, 3, 6, 9]
-    assert spaced([5, 7], 4) == [5, 7]
-    assert spaced([], 4) == []

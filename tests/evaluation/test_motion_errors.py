@@ -56,7 +56,7 @@ def motion_of(body: Body, timestamps: torch.Tensor, u: torch.Tensor, backward: b
         kind="pair",
         u=u,
         timestamps=timestamps,
-        counts=torch.full((len(timestamps),), len(u)),
+        num_samples=torch.full((len(timestamps),), len(u)),
         shutter=None,
         global_orient=poses.global_orient.reshape(*shape, 3),
         body_pose=poses.body_pose.reshape(*shape, -1, 3),

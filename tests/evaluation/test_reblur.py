@@ -25,7 +25,7 @@ def linear_motion(body, backward: tuple[int, ...] = (), kind: str = "pair") -> M
     still = torch.zeros(5, 3, 3)
     return Motion(
         kind=kind, u=u, timestamps=torch.arange(5.0),
-        counts=torch.full((5,), 3), shutter=None, global_orient=still, body_pose=body_pose,
+        num_samples=torch.full((5,), 3), shutter=None, global_orient=still, body_pose=body_pose,
         transl=transl,
         centre=Poses(
             betas=torch.zeros(body.shape_dirs.shape[2]), global_orient=still[:, 1],

@@ -79,7 +79,7 @@ def test_only_as_many_instants_are_fitted_as_an_exposure_is_given():
     assert torch.equal(motion(3).transl[0], motion(3).centre_transl)
     assert motion(4).quats.shape[0] == 5
     artifact = motion.to_artifact(torch.zeros(2), torch.arange(12) / 60)
-    assert artifact.counts.tolist() == counts.tolist()
+    assert artifact.num_samples.tolist() == counts.tolist()
     assert artifact.transl.shape[:2] == (12, 5)  # sampled evenly all the same
     assert trajectory_from_artifact(artifact)(3).quats.shape[0] == 1
 

@@ -13,9 +13,6 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.parameters import MethodParams
-from deblur_avatar.training.params import RecipeParams
-from deblur_avatar.training.schedule import ScheduleParams
 
 
 def main(metrics: Path, params_file: Path) -> None:
@@ -24,14 +21,7 @@ def main(metrics: Path, params_file: Path) -> None:
     seed = load_params(params_file, "seed", int)
     with run.stage("self_check_cases", "all", seed) as context:
         setups = {
-            method: FitSetup(
-                load_params(params_file, "avatars.lean", RecipeParams),
-                load_params(params_file, f"methods.{method}", MethodParams),
-                load_params(params_file, "schedules.suite", ScheduleParams),
-                validation_stride=load_params(params_file, "validation_stride", int),
-                seed=seed,
-                device=context.device,
-            )
+            method: FitSetup.of(method, params_file, seed, context.device)
             for method in params.methods
         }
 

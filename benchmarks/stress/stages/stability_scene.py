@@ -7,9 +7,6 @@ from benchmarks.stress.params import StabilitySceneParams
 from benchmarks.stress.scene import film_scene, measure_ceiling
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.parameters import MethodParams
-from deblur_avatar.training.params import RecipeParams
-from deblur_avatar.training.schedule import ScheduleParams
 
 
 def main(scene: str, out: Path, params_file: Path) -> None:
@@ -18,14 +15,7 @@ def main(scene: str, out: Path, params_file: Path) -> None:
     seed = load_params(params_file, "seed", int)
     with run.stage("stability_scene", scene, seed) as context:
         body, clip, reference = film_scene(params, context.generator)
-        setup = FitSetup(
-            load_params(params_file, "avatars.lean", RecipeParams),
-            load_params(params_file, "methods.ceiling", MethodParams),
-            load_params(params_file, "schedules.suite", ScheduleParams),
-            load_params(params_file, "validation_stride", int),
-            seed,
-            context.device,
-        )
+        setup = FitSetup.of("ceiling", params_file, seed, context.device)
         draws = load_params(params_file, "ceiling_draws", int)
         ceiling = measure_ceiling(clip, reference, body, setup, draws)
         clip.save(out / "clip")

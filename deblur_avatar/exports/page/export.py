@@ -11,11 +11,10 @@ import jinja2
 from pydantic import Field
 
 from deblur_avatar import run as stage
-from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.page.content import Shown, page_payload
 from deblur_avatar.exports.rigged import rigged_avatar
-from deblur_avatar.exports.shown_motion import shown_motions
+from deblur_avatar.exports.shown_motion import MotionExport, shown_motions
 
 FOLDER = Path(__file__).parent
 SCRIPTS = (
@@ -24,15 +23,12 @@ SCRIPTS = (
 )  # fmt: skip
 
 
-class PageExport(Params):
+class PageExport(MotionExport):
     """Which motions the avatar can be shown in, and how many filmed frames go with it."""
 
     suffix: ClassVar[str] = ".html"
 
     format: Literal["page"]
-    motions: tuple[str, ...]  # own, builtin:<name> or files
-    fps: Positive  # frames a second of motions that were not filmed
-    seconds: Positive  # longest duration of these
     pictures: Annotated[int, Field(ge=0)]  # filmed frames, evenly spaced
 
     def export(self, run: FittedRun, path: Path) -> None:
