@@ -28,6 +28,7 @@ from benchmarks.capsule_person import Person, capsule_person
 from benchmarks.gsplat_in_torch import rasterize_by_gsplat
 from deblur_avatar.rendering import cpu, native_build
 from deblur_avatar.rendering.rasterize import rasterize
+from deblur_avatar.run import kernel_threads
 
 SIZES = ((5_000, 128), (20_000, 256), (50_000, 512))  # Gaussians, pixels a side
 BATCHES = (1, 5)
@@ -168,7 +169,7 @@ def bound_ms(person: Person, size: int, ghz: float) -> float | None:
     words = picture.grad_fn.work["visits"]  # type: ignore[union-attr]
     bits = torch.tensor([bin(byte).count("1") for byte in range(256)])
     visits = int(bits[words.long()].sum()) * native.lanes / 16
-    return round(visits * CYCLES_PER_VISIT / (ghz * 1e6) / torch.get_num_threads(), 3)
+    return round(visits * CYCLES_PER_VISIT / (ghz * 1e6) / kernel_threads(), 3)
 
 
 def measure(ghz: float, clock: Clock) -> list[Row]:
@@ -230,7 +231,7 @@ def machine(ghz: float) -> dict[str, Any]:
         "cpu": names[0] if names else platform.processor(),
         "instructions": torch.backends.cpu.get_cpu_capability(),
         "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
+        "threads": kernel_threads(),
         "ghz_assumed_for_bound": ghz,
         "load_before": [round(load, 2) for load in os.getloadavg()],
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,

@@ -11,6 +11,10 @@ import importlib
 import os
 from typing import Any
 
+# Threads that wait for others sleep: where another process needs the cores, those that spin make a
+# fit thirty times slower. OpenMP reads this once, when torch is first imported.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 if os.environ.get("DEBLUR_AVATAR_CHECK_SHAPES") == "1":
     from jaxtyping import install_import_hook
 

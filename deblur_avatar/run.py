@@ -35,6 +35,7 @@ MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
 KEPT_BYTES = 1 << 30  # more than any stage frees at once
 MAX_VALUE = 2**63 - 1  # of whole numbers
 MAX_THREADS = 1024  # more is a slip of the keyboard
+THREADS_THAT_PAY = 4  # what is left to torch's one thread is a third of a step by then
 
 # Names that seeds are derived from, by today's words: what was renamed draws what it drew before.
 SEED_NAMES = {"agnostic": "blind", "learning_curve": "timeline"}
@@ -74,13 +75,14 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
 
     `DEBLUR_AVATAR_DEVICE` names the device; without it a GPU is used where there is one. Each stage
     and item derives its own seed, so adding a stage does not reshuffle the others. Torch computes
-    with one thread, whose sums do not depend on how many cores there are; `DEBLUR_AVATAR_THREADS`
-    asks for more, and gets other last digits.
+    with one thread, since its sums depend on how many there are; the sums of native kernels do not,
+    and these take `kernel_threads`.
 
     Raises:
         ConfigError: if there is no such device here, or the number of threads is none.
     """
-    torch.set_num_threads(_threads())
+    kernel_threads()  # says so early if they are asked for wrongly
+    torch.set_num_threads(1)
     derived = derive_seed(seed, name, item)
     default = "cuda" if torch.cuda.is_available() else "cpu"
     try:
@@ -102,8 +104,17 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     logger.info("%s %s: done in %.1f s, %.0f MB", name, item, took, peak_memory_mb())
 
 
-def _threads() -> int:
-    text = os.environ.get("DEBLUR_AVATAR_THREADS", "1")
+def kernel_threads() -> int:
+    """How many threads a native kernel takes, whose results are the same for any number.
+
+    `DEBLUR_AVATAR_THREADS`, or as many as this process has cores, but no more than pay.
+
+    Raises:
+        ConfigError: if the variable is no such number.
+    """
+    text = os.environ.get("DEBLUR_AVATAR_THREADS")
+    if text is None:
+        return min(len(os.sched_getaffinity(0)), THREADS_THAT_PAY)
     if not (text.isdecimal() and 0 < int(text) <= MAX_THREADS):
         raise ConfigError(f"DEBLUR_AVATAR_THREADS: wanted 1 to {MAX_THREADS}, got {text!r:.40}")
     return int(text)

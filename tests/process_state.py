@@ -1,5 +1,6 @@
 """What a stage switches for its whole process, switched back where one runs beside other tests."""
 
+import os
 import random
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 
 T = TypeVar("T")
+THREADS = "DEBLUR_AVATAR_THREADS"  # of native kernels
 
 
 @contextmanager
@@ -27,14 +29,21 @@ def process_state_kept() -> Iterator[None]:
 
 
 def by_threads(make: Callable[[], T], *counts: int) -> list[T]:
-    """What comes out with each number of torch's threads; the call leaves that number alone."""
-    before = torch.get_num_threads()
+    """What comes out with each number of threads of torch and of kernels.
+
+    The call leaves both numbers alone.
+    """
+    before, variable = torch.get_num_threads(), os.environ.get(THREADS)
     try:
         results = []
         for count in counts:
             torch.set_num_threads(count)
+            os.environ[THREADS] = str(count)
             results.append(make())
             assert torch.get_num_threads() == count
         return results
     finally:
         torch.set_num_threads(before)
+        os.environ.pop(THREADS)
+        if variable is not None:
+            os.environ[THREADS] = variable

@@ -1,7 +1,9 @@
 import json
 import logging
+import os
 import random
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -70,14 +72,31 @@ def test_a_device_that_does_not_exist_is_a_mistake_of_the_caller(monkeypatch):
         pass
 
 
-def test_a_stage_computes_with_one_thread_unless_asked(monkeypatch):
+def test_torch_computes_with_one_thread_in_a_stage_and_kernels_with_more(monkeypatch):
     with run.one_thread():  # restores the number of threads that other tests have
         torch.set_num_threads(2)
+        monkeypatch.setenv("DEBLUR_AVATAR_THREADS", "3")
         with run.stage("warmup", "studio", 0):
             assert torch.get_num_threads() == 1
-        monkeypatch.setenv("DEBLUR_AVATAR_THREADS", "2")
-        with run.stage("warmup", "studio", 0):
-            assert torch.get_num_threads() == 2
+            assert run.kernel_threads() == 3
+    monkeypatch.delenv("DEBLUR_AVATAR_THREADS")
+    assert 1 <= run.kernel_threads() <= 4
+
+
+def test_waiting_threads_sleep():
+    """Those that spin take a core away from whatever else runs, and from each other."""
+    said = "import os, deblur_avatar; print(os.environ['OMP_WAIT_POLICY'])"
+    for policy, wanted in ((None, "PASSIVE"), ("ACTIVE", "ACTIVE")):
+        environment = {k: v for k, v in os.environ.items() if k != "OMP_WAIT_POLICY"}
+        environment |= {} if policy is None else {"OMP_WAIT_POLICY": policy}
+        told = subprocess.run(
+            [sys.executable, "-c", said],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert told.stdout.strip() == wanted
 
 
 @pytest.mark.parametrize("threads", ["0", "-1", "two", "1.5", "100000", ""])

@@ -25,6 +25,7 @@ from deblur_avatar.rendering.native_build import (
     load_library,
     pointers,
 )
+from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("covariance_factors.cpp")
 
@@ -117,7 +118,7 @@ def _native(*values: Tensor) -> bool:
 
 
 def _call(name: str, count: int, *tensors: Tensor | None) -> None:
-    getattr(_library(), name)(count, torch.get_num_threads(), *pointers(*tensors))
+    getattr(_library(), name)(count, kernel_threads(), *pointers(*tensors))
 
 
 @cache

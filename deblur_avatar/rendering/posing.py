@@ -24,6 +24,7 @@ from deblur_avatar.rendering.native_build import (
     load_library,
     pointers,
 )
+from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("posing.cpp")
 
@@ -70,7 +71,7 @@ class _Posing(torch.autograd.Function):
         inputs = [value.contiguous() for value in (means, covariance_factors, lbs_weights)] + [rows]
         count = len(means)
         posed = means.new_empty(poses, count, 3), means.new_empty(poses, count, 6)
-        sizes = (poses, count, joints, torch.get_num_threads())
+        sizes = (poses, count, joints, kernel_threads())
         library = _library()
         assert library is not None
         library.pose(*sizes, *pointers(*inputs, *posed))
