@@ -173,7 +173,7 @@ def tiny_parameters() -> dict[str, Any]:
     network |= {"hidden": [8], "frame_codes": 4, "color_features": 4}
     ends = {"warmup": 6, "trajectory": 12, "fusion": 18}
     content["schedule"], content["snapshots"] = "tiny", 0
-    content["schedules"] = {"tiny": ends | {"gaussians": 80, "image_height": SIZE}}
+    content["schedules"] = {"tiny": ends | {"gaussians": 80, "image_height": SIZE, "levels": []}}
     for name in content["on_request"]:
         del content["scenes"][name]
     kept = content["scenes"]

@@ -29,6 +29,7 @@ from deblur_avatar.avatars.gaussians import (
 )
 from deblur_avatar.avatars.skinning_field import surface_weights
 from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.rendering.conventions import eps2d_of
 from deblur_avatar.rendering.covariance_factors import covariance_factors, covariances
 from deblur_avatar.rendering.posing import pose_gaussians
 from deblur_avatar.rendering.rasterize import rasterize
@@ -146,6 +147,7 @@ class SplatAvatar(AvatarModel):
         rendered = rasterize(
             means, covars, self.gaussians.opacities, state.colors, camera.viewmat, camera.K,
             camera.width, camera.height, background=background, average=average,
+            eps2d=eps2d_of(camera.binning),
         )  # fmt: skip
         return SplatRendering(rendered.image, rendered.alpha, len(means), rendered, means, covars)
 

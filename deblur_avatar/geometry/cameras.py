@@ -5,7 +5,7 @@ Conventions. OpenCV axes: +X right, +Y down, +Z forward. `viewmats` go from worl
 s scales every entry of K's first two rows by s.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -16,16 +16,26 @@ MINIMUM_DEPTH = 1e-6  # metres; a point nearer than this has no picture
 
 @dataclass(frozen=True)
 class Camera:
-    """One pinhole camera and the size of its picture."""
+    """One pinhole camera and the size of its picture.
+
+    `binning` is how many pixels' sides of the full-size picture one side of its pixels is.
+    """
 
     K: Float[Tensor, "3 3"]  # pixels
     viewmat: Float[Tensor, "4 4"]  # world to camera
     width: int
     height: int
+    binning: float = 1.0
 
     def to(self, like: Tensor | torch.device) -> "Camera":
         """The same camera where another tensor is, or on a device."""
-        return Camera(self.K.to(like), self.viewmat.to(like), self.width, self.height)
+        return replace(self, K=self.K.to(like), viewmat=self.viewmat.to(like))
+
+    def binned(self, share: float) -> "Camera":
+        """The camera of a picture `share` times as large, whose pixels see averages."""
+        width, height = (max(1, round(side * share)) for side in (self.width, self.height))
+        scale = self.K.new_tensor([width / self.width, height / self.height, 1.0])
+        return Camera(scale[:, None] * self.K, self.viewmat, width, height, self.binning / share)
 
 
 def project(

@@ -130,6 +130,7 @@ class ClipMotion(Trajectory):
         """Take knots, and how long the shutter was open, in units of the knots' spacing."""
         super().__init__()
         self._pixels_per_pose = 0.0
+        self._max_samples = len(u)
         self._initial_depths: dict[int, Tensor] = {}  # by frame
         self.register_buffer("u", u, persistent=False)
         self.register_buffer("middles", middles)
@@ -217,7 +218,8 @@ class ClipMotion(Trajectory):
 
     def forward(self, frame: int) -> Instants:
         """The piece of the trajectory that one exposure sees, at as many instants as it needs."""
-        return self.at(frame, instants(int(self.samples_per_frame[frame]), "midpoints").to(self.u))
+        count = min(int(self.samples_per_frame[frame]), self._max_samples)
+        return self.at(frame, instants(count, "midpoints").to(self.u))
 
     def at(self, frame: int, u: Float[Tensor, " S"]) -> Instants:
         """The piece of the trajectory that one exposure sees."""
@@ -236,6 +238,10 @@ class ClipMotion(Trajectory):
     def num_samples(self, frames: int) -> Int64[Tensor, " F"]:
         """How many instants fitting takes of each exposure."""
         return self.samples_per_frame.clone()
+
+    def limit_samples(self, max_samples: int) -> None:
+        """Few instants are enough for a coarse picture."""
+        self._max_samples = max_samples
 
     def choose_samples(self, observations: Observations) -> None:
         """A virtual pose per `pixels_per_pose` of the farthest travel."""

@@ -148,6 +148,12 @@ class Trajectory(nn.Module, ABC):
         """How many instants fitting takes of each exposure."""
         return torch.full((frames,), len(self.u))
 
+    def limit_samples(self, max_samples: int) -> None:
+        """Take no more instants of an exposure in fitting, where their number may vary.
+
+        What is saved still says how many an exposure needs.
+        """
+
     def choose_samples(self, observations: Observations) -> None:
         """Choose how many instants fitting takes of each exposure, if that depends on the motion.
 

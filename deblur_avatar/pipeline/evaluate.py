@@ -38,6 +38,7 @@ from deblur_avatar.evaluation.estimated_steps import estimated_steps
 from deblur_avatar.evaluation.motion_errors import pose_errors, travel_errors
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.evaluation.recovery import nothing_recovered
+from deblur_avatar.evaluation.surface_quality import surface_quality
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 
 logger = logging.getLogger(__name__)
@@ -102,6 +103,7 @@ def evaluate(
         "recovery": nothing_recovered(),
         "gap_to_ceiling_db": None,
         "model": _size(avatar, motion, observations.train),
+        "surface": surface_quality(model, observations, motion),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
     steps = estimated_steps(observations, reference, motion, true)

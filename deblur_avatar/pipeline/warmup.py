@@ -36,8 +36,8 @@ def warm_up(
     begin = time.perf_counter()
     betas = observations.poses.betas.to(device)
     avatar = AVATARS[recipe.model.kind].create(
-        recipe.model, observations.body, betas, len(observations.frames), schedule.gaussians,
-        observations.averaging_space, generator,
+        recipe.model, observations.body, betas, len(observations.frames),
+        schedule.gaussians_of(schedule.level_at(1)), observations.averaging_space, generator,
     ).to(device)  # fmt: skip
     trajectory = FixedMotion(observations.poses).to(device)
     params = FitParams(recipe=recipe, motion=FixedParams(kind="fixed"), schedule=schedule)

@@ -15,6 +15,16 @@ from typing import Final
 # 3D Gaussian splatting code, so that no Gaussian is thinner than a pixel.
 EPS2D: Final = 0.3
 
+
+def eps2d_of(binning: float) -> float:
+    """Low-pass of a picture whose pixels are `binning` times as wide, in these wider pixels.
+
+    An area average of a picture adds the variance of its box, less that of the pixel's own, to
+    what the low-pass of the larger picture was.
+    """
+    return (EPS2D + (binning**2 - 1) / 12) / binning**2
+
+
 # Gaussians whose centre is nearer than this are left out, metres (gsplat's default).
 NEAR_PLANE: Final = 0.01
 

@@ -18,6 +18,7 @@ from deblur_avatar.rendering import conventions
 from deblur_avatar.rendering.inputs import not_finite
 from deblur_avatar.rendering.native_build import load_library
 from deblur_avatar.rendering.result import Rasterization, ScreenStatistics
+from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("kernel.cpp")
 
@@ -50,6 +51,7 @@ class Frame(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in _INTEGERS),
+        ("eps2d", ctypes.c_double),
         *((name, ctypes.c_void_p) for name in _POINTERS),
     ]
 
@@ -64,7 +66,7 @@ class Kernel:
 
     def __init__(self) -> None:
         names = (
-            *("EPS2D", "NEAR_PLANE", "VIEW_MARGIN"),
+            *("NEAR_PLANE", "VIEW_MARGIN"),
             *("MAX_ALPHA", "MIN_ALPHA", "MIN_TRANSMITTANCE"),
         )
         library = load_library(KERNEL, [f"{name}={getattr(conventions, name)}f" for name in names])
@@ -115,6 +117,7 @@ def rasterize(
     background: Float[Tensor, " C"] | None,
     average: bool,
     depth: bool,
+    eps2d: float,
 ) -> Rasterization:
     """Rasterize with the native kernel; see the package for the arguments.
 
@@ -131,7 +134,7 @@ def rasterize(
     screen = ScreenStatistics()
     image, alpha, depths, radii = _Rasterize.apply(
         *(means, covars, opacities, colors, background),
-        *(viewmat, K, width, height, average, depth, screen),
+        *(viewmat, K, width, height, average, depth, eps2d, screen),
     )
     return Rasterization(
         image=image, alpha=alpha, depth=depths if depth else None, radii=radii, screen=screen
@@ -153,6 +156,7 @@ class _Rasterize(torch.autograd.Function):
         height: int,
         average: bool,
         depth: bool,
+        eps2d: float,
         screen: ScreenStatistics,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         native = kernel()
@@ -169,6 +173,7 @@ class _Rasterize(torch.autograd.Function):
             raise ValueError(not_finite("background"))
         options = {"average": average, "depth": depth, "keep": any(ctx.needs_input_grad)}
         frame = _frame(native, inputs, width, height, options)
+        frame.eps2d = eps2d
         work = _project(native, frame, inputs)
 
         pictures = 1 if average else frame.poses
@@ -223,7 +228,7 @@ class _Rasterize(torch.autograd.Function):
             frame.point(background_grad=background_grad)
             native.backward_background(frame)
         ctx.screen.add(grad, absgrad)
-        return (*made.values(), background_grad, *(None,) * 7)
+        return (*made.values(), background_grad, *(None,) * 8)
 
 
 def _frame(
@@ -243,7 +248,7 @@ def _frame(
     tiles_y = -(-height // native.tile_height)
     if max(tiles_x, tiles_y) >= 2**15 or N >= 2**31 or B * tiles_x * tiles_y >= 2**31:
         raise ValueError(f"too much for the cpu backend: {B} x {N} Gaussians, {width}x{height}")
-    threads = torch.get_num_threads()
+    threads = kernel_threads()
     # Some chunks a thread even out their work; each needs a counter per tile.
     shift = max((max(N, 1) * B // (4 * threads)).bit_length(), 8)
     columns = 6 if covars.shape[-1] == 6 else 9

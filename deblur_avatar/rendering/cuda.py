@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.rendering.conventions import EPS2D, NEAR_PLANE
+from deblur_avatar.rendering.conventions import NEAR_PLANE
 from deblur_avatar.rendering.covariances import upper_triangles, whole_matrices
 from deblur_avatar.rendering.inputs import refuse_not_finite
 from deblur_avatar.rendering.result import Rasterization, ScreenStatistics
@@ -37,6 +37,7 @@ def rasterize(
     background: Float[Tensor, " C"] | None,
     average: bool,
     depth: bool,
+    eps2d: float,
 ) -> Rasterization:
     """Rasterize with gsplat; see the package for the arguments.
 
@@ -64,7 +65,7 @@ def rasterize(
         height,
         covars=covars,
         near_plane=NEAR_PLANE,
-        eps2d=EPS2D,
+        eps2d=eps2d,
         packed=False,
         absgrad=True,
         render_mode="RGB+D" if depth else "RGB",

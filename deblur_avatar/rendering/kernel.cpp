@@ -19,7 +19,7 @@
 //
 // The exponent is in base 2: alpha = exp2(logo + (a dx + b dy) dx + c dy^2), x to the right.
 //
-// The constants EPS2D, NEAR_PLANE, VIEW_MARGIN, MAX_ALPHA, MIN_ALPHA and MIN_TRANSMITTANCE come
+// The constants NEAR_PLANE, VIEW_MARGIN, MAX_ALPHA, MIN_ALPHA and MIN_TRANSMITTANCE come
 // from conventions.py by way of the compiler's command line.
 
 #include <algorithm>
@@ -279,6 +279,7 @@ struct Frame {
   int64_t pairs, busy;  // found by `project`: pairs, and (pose, tile)s that have any
   int64_t largest;      // found by `project`: the most pairs of one pose
   int64_t slot_capacity;
+  double eps2d;  // low-pass, px^2
   // inputs
   const float *means, *covars, *opacities, *colors, *viewmat, *K, *background;
   // made by `project`
@@ -314,14 +315,14 @@ int64_t values_of(const Frame& f) { return f.channels + f.depth; }
 
 // The camera, broadcast once per call.
 struct Camera {
-  float r[3][3], t[3], fx, fy, cx, cy, low_x, high_x, low_y, high_y;
+  float r[3][3], t[3], fx, fy, cx, cy, low_x, high_x, low_y, high_y, eps2d;
 
   explicit Camera(const Frame& f) {
     for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) r[i][j] = f.viewmat[4 * i + j];
       t[i] = f.viewmat[4 * i + 3];
     }
-    fx = f.K[0], cx = f.K[2], fy = f.K[4], cy = f.K[5];
+    fx = f.K[0], cx = f.K[2], fy = f.K[4], cy = f.K[5], eps2d = (float)f.eps2d;
     const float margin_x = VIEW_MARGIN * 0.5f * f.width / fx;
     const float margin_y = VIEW_MARGIN * 0.5f * f.height / fy;
     low_x = -cx / fx - margin_x, high_x = (f.width - cx) / fx + margin_x;
@@ -396,9 +397,9 @@ struct Projection {
     }
     times(s, m0, s0);
     times(s, m1, s1);
-    xx = m0[0] * s0[0] + m0[1] * s0[1] + m0[2] * s0[2] + EPS2D;
+    xx = m0[0] * s0[0] + m0[1] * s0[1] + m0[2] * s0[2] + cam.eps2d;
     xy = m0[0] * s1[0] + m0[1] * s1[1] + m0[2] * s1[2];
-    yy = m1[0] * s1[0] + m1[1] * s1[1] + m1[2] * s1[2] + EPS2D;
+    yy = m1[0] * s1[0] + m1[1] * s1[1] + m1[2] * s1[2] + cam.eps2d;
     const vf determinant = xx * yy - xy * xy;
     solid &= determinant > 0.0f;
     const vf inverse = 1.0f / (solid ? determinant : splat(1.0f));

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.rendering import cpu, reference
+from deblur_avatar.rendering.conventions import EPS2D
 from deblur_avatar.rendering.covariances import covariances
 from deblur_avatar.rendering.inputs import check_camera, check_inputs
 from deblur_avatar.rendering.native_build import BuildError
@@ -45,6 +46,7 @@ def rasterize(
     background: Float[Tensor, " C"] | None = None,
     average: bool = False,
     depth: bool = False,
+    eps2d: float = EPS2D,
     backend: str | None = None,
 ) -> Rasterization:
     """Rasterize B poses of one set of Gaussians as one camera sees them.
@@ -67,6 +69,8 @@ def rasterize(
         background: what is seen where nothing covers; black if None.
         average: return the mean of the B pictures instead; the fast backends never hold all B.
         depth: also accumulate depth.
+        eps2d: low-pass, added to both variances of a projected Gaussian, px^2; `eps2d_of` says
+            which one makes a smaller picture the area average of a larger one.
         backend: one of BACKENDS. If None, the environment variable DEBLUR_AVATAR_RASTERIZER
             decides, then the device and dtype of the tensors.
 
@@ -88,6 +92,7 @@ def rasterize(
         background=background,
         average=average,
         depth=depth,
+        eps2d=eps2d,
     )
 
 

@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from deblur_avatar.rendering.conventions import (
-    EPS2D,
     MAX_ALPHA,
     MIN_ALPHA,
     MIN_TRANSMITTANCE,
@@ -67,6 +66,7 @@ def rasterize(
     background: Float[Tensor, " C"] | None,
     average: bool,
     depth: bool,
+    eps2d: float,
 ) -> Rasterization:
     """Rasterize with torch operations; see the package for the arguments."""
     refuse_not_finite(
@@ -74,7 +74,7 @@ def rasterize(
     )
     covars = whole_matrices(covars)
     covars = 0.5 * (covars + covars.mT)  # so that the gradient is symmetric too
-    projection = project(means, covars, opacities, viewmat, K, width, height)
+    projection = project(means, covars, opacities, viewmat, K, width, height, eps2d)
     screen = ScreenStatistics()
     pictures = torch.stack(
         [
@@ -102,6 +102,7 @@ def project(
     K: Float[Tensor, "3 3"],
     width: int,
     height: int,
+    eps2d: float,
 ) -> Projection:
     """Project Gaussians to the image by the linearised pinhole.
 
@@ -124,7 +125,7 @@ def project(
     clamped = torch.minimum(clamped, (size - centre) / focal + margin)
     # d(pixel) / d(world) = focal / z * (rows 0 and 1 of the rotation - slope * row 2)
     jacobian = (focal / z)[..., None] * (rotation[:2] - clamped[..., None] * rotation[2])
-    covars2d = jacobian @ covars @ jacobian.mT + EPS2D * torch.eye(2).to(means)
+    covars2d = jacobian @ covars @ jacobian.mT + eps2d * torch.eye(2).to(means)
 
     xx, xy, yy = covars2d[..., 0, 0], covars2d[..., 0, 1], covars2d[..., 1, 1]
     determinant = xx * yy - xy * xy

@@ -1,6 +1,9 @@
-"""What one training frame asks of an avatar."""
+"""What one training frame asks of an avatar, at the size that fitting is at.
 
-from dataclasses import dataclass
+A smaller frame is the area average of the full one, in the space in which light is averaged.
+"""
+
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -8,6 +11,9 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
+from deblur_avatar.imaging.exposure import AveragingSpace
 
 # Not a parameter: enough to see the person's edge from both sides at three scales.
 BOX_MARGIN = 8  # pixels around the person in which structure is compared
@@ -28,25 +34,74 @@ class Target:
         return image if self.comparable is None else image * self.comparable[..., None]
 
 
-def target_of(observations: Observations, index: int, device: torch.device) -> Target:
-    """Bring one frame to the device.
+class Targets:
+    """The training frames that show a person, at one size; full ones are converted when asked for.
 
     Raises:
-        ArtifactError: if its mask is black.
+        ArtifactError: if there is none, or the mask of one is black.
     """
+
+    def __init__(self, observations: Observations, share: float, device: torch.device) -> None:
+        self._observations, self._share, self._device = observations, share, device
+        self._smaller: dict[int, Target] = {}
+        height, width = observations.frames.shape[1:3]
+        camera = replace(observations.camera.to(device), width=width, height=height)
+        self.camera = camera if share == 1 else camera.binned(share)
+        self.frames = [index for index in observations.train if observations.weights[index] > 0]
+        if not self.frames:
+            raise ArtifactError("no training frame shows a person; check masks and weights")
+        for index in self.frames:
+            if not bool(observations.mattes[index].any()):
+                raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
+
+    def __getitem__(self, index: int) -> Target:
+        """One frame."""
+        if self._share == 1:
+            return target_of(self._observations, index, self._device)
+        if index not in self._smaller:
+            target = target_of(self._observations, index, self._device)
+            space = self._observations.averaging_space
+            self._smaller[index] = _smaller(target, self.camera, space)
+        return self._smaller[index]
+
+
+def target_of(observations: Observations, index: int, device: torch.device) -> Target:
+    """Bring one frame, whose mask shows a person, to the device."""
     image = observations.comparable_part(observations.frames[index].to(device).float() / 255, index)
     matte = observations.mattes[index].to(device).float() / 255
-    rows, columns = torch.nonzero(matte > 0, as_tuple=True)
-    if len(rows) == 0:
-        raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
+    comparable = None
+    if observations.comparable is not None:
+        comparable = observations.comparable[index].to(device).float() / 255
+    return Target(image, matte, comparable, _box(matte), float(observations.weights[index]))
+
+
+def _box(matte: Float[Tensor, "H W"]) -> tuple[int, int, int, int]:
+    """Where the person is, with a margin."""
     height, width = matte.shape
-    box = (
+    columns, rows = (torch.nonzero(matte.amax(axis)).flatten() for axis in (0, 1))
+    return (
         max(int(columns.min()) - BOX_MARGIN, 0),
         max(int(rows.min()) - BOX_MARGIN, 0),
         min(int(columns.max()) + BOX_MARGIN + 1, width),
         min(int(rows.max()) + BOX_MARGIN + 1, height),
     )
-    comparable = None
-    if observations.comparable is not None:
-        comparable = observations.comparable[index].to(device).float() / 255
-    return Target(image, matte, comparable, box, float(observations.weights[index]))
+
+
+def _smaller(target: Target, camera: Camera, averaging_space: AveragingSpace | str) -> Target:
+    """The same frame as a binned camera sees it."""
+    size = camera.height, camera.width
+
+    def averaged(values: Float[Tensor, "H W *C"]) -> Float[Tensor, "h w *C"]:
+        planes = values.reshape(*values.shape[:2], -1).permute(2, 0, 1)
+        small = torch.nn.functional.adaptive_avg_pool2d(planes[None], size)[0].permute(1, 2, 0)
+        return small.reshape(*size, *values.shape[2:]).contiguous()
+
+    linear = averaging_space == "linear"
+    light = averaged(srgb_to_linear(target.image) if linear else target.image)
+    image = linear_to_srgb(light) if linear else light
+    matte, comparable = averaged(target.matte), target.comparable
+    if comparable is not None:
+        # Only where all that a pixel averages means something.
+        comparable = (averaged(comparable) > 1 - 1e-6).to(matte)
+        image = image * comparable[..., None]
+    return Target(image, matte, comparable, _box(matte), target.weight)

@@ -7,7 +7,6 @@ something starts count in the paper's 15,000 iterations and are scaled to the sc
 import copy
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -22,6 +21,7 @@ from deblur_avatar.motion.trajectory import Instants, Trajectory
 from deblur_avatar.training.densify import Densifier, replace_gaussians
 from deblur_avatar.training.exposure_gains import ExposureGains
 from deblur_avatar.training.fusion_network import FusionNetwork
+from deblur_avatar.training.growth import multiply_gaussians
 from deblur_avatar.training.objective import Objective
 from deblur_avatar.training.optimizers import Optimizers
 from deblur_avatar.training.params import FitParams
@@ -30,6 +30,7 @@ from deblur_avatar.training.resume import (
     RunFolder,
     Snapshot,
 )
+from deblur_avatar.training.schedule import LevelParams
 from deblur_avatar.training.supervision import (
     MASKS,
     SUPERVISIONS,
@@ -40,7 +41,7 @@ from deblur_avatar.training.supervision import (
     Supervision,
     still_frames,
 )
-from deblur_avatar.training.targets import Target, target_of
+from deblur_avatar.training.targets import Target, Targets
 
 Report = Callable[[int, Mapping[str, float]], None]
 
@@ -68,16 +69,9 @@ class AvatarFit:
         self.avatar, self.trajectory, self.fusion = avatar, trajectory, fusion
         self._params, self._scale = params, params.schedule.scale
         self._device, self._generator = device, generator
-        height, width = observations.frames.shape[1:3]
-        self._camera = replace(observations.camera.to(device), width=width, height=height)
-        self._timestamps = observations.timestamps
-        self._targets = {
-            index: target_of(observations, index, device)
-            for index in observations.train
-            if observations.weights[index] > 0
-        }
-        if not self._targets:
-            raise ArtifactError("no training frame shows a person; check masks and weights")
+        self._observations = observations
+        self._level: LevelParams | None = None
+        self._targets = Targets(observations, 1.0, device)
         recipe = params.recipe
         self.objective = Objective(avatar, trajectory, observations, recipe, params.motion, device)
         self._queue: list[int] = []
@@ -130,13 +124,14 @@ class AvatarFit:
             spent += time.perf_counter() - begin
             if folder is not None and folder.wants(iteration):
                 folder.keep(iteration, spent, self._snapshot(iteration))
-        self.avatar.fill_untrained_latents(list(self._targets))
+        self.avatar.fill_untrained_latents(self._targets.frames)
         return spent
 
     def step(self, iteration: int, supervision: str, mask: str) -> dict[str, float]:
         """One iteration on one random frame."""
         chosen, covered = SUPERVISIONS[supervision], MASKS[mask]
         step = self._step(iteration)
+        self._climb(iteration)
         self.optimizers.set_rates(iteration)
         if iteration % NEIGHBOUR_REFRESH == 0:
             self.avatar.invalidate_neighbours()
@@ -193,6 +188,22 @@ class AvatarFit:
     def _gaussians(self) -> int:
         return 0 if self.avatar.densified is None else len(self.avatar.densified)
 
+    def _climb(self, iteration: int) -> None:
+        """Go on to the level that an iteration belongs to."""
+        schedule = self._params.schedule
+        level = schedule.level_at(iteration)
+        if level is self._level:
+            return
+        self._level = level
+        self._targets = Targets(self._observations, level.size, self._device)
+        self.trajectory.limit_samples(level.virtual_poses)
+        if schedule.grows_at(iteration) and self.avatar.densified is not None:
+            assert self.optimizers.gaussians is not None
+            gaussians, count = self.avatar.densified, schedule.gaussians_of(level)
+            multiply_gaussians(gaussians, self.optimizers.gaussians, count, self._generator)
+            self._densifier = Densifier(len(gaussians), self._device)
+            self.avatar.invalidate_neighbours()
+
     def _memory(self) -> dict[str, Tensor]:
         parts = {"densifier": self._densifier, "gains": self._gains}
         held = {
@@ -244,8 +255,8 @@ class AvatarFit:
 
     def _snapshot(self, iteration: int) -> Snapshot:
         avatar = copy.deepcopy(self.avatar)  # what is lent, and what is looked up, is its own
-        avatar.fill_untrained_latents(list(self._targets))
-        motion = self.trajectory.to_artifact(avatar.betas, self._timestamps)
+        avatar.fill_untrained_latents(self._targets.frames)
+        motion = self.trajectory.to_artifact(avatar.betas, self._observations.timestamps)
         return Snapshot(avatar=avatar.to_artifact(iteration), motion=motion)
 
     def _step(self, iteration: int) -> TrainingStep:
@@ -256,6 +267,7 @@ class AvatarFit:
         step: TrainingStep,
     ) -> tuple[Exposure, FrameState]:  # fmt: skip
         """Render what is compared of an exposure, conditioned for its middle."""
+        camera = self._targets.camera
         # Asked for twice: the order of operations is that in which gradients are added.
         centre = instants.centre_rotations
         rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
@@ -263,13 +275,13 @@ class AvatarFit:
             rotations = torch.cat([instants.rotations, rotations])
             transl = torch.cat([instants.transl, transl])
         transforms = self.avatar.transforms(rotations, transl)
-        state = self.avatar.condition(centre, index, transforms[-1], self._camera.viewmat, step)
+        state = self.avatar.condition(centre, index, transforms[-1], camera.viewmat, step)
         shown = transforms[:-1] if supervision.averages else transforms
         average = not mask.each
         if supervision.averages and (supervision.needs_sharp or mask.needs_sharp):
-            both = self.avatar.render_exposure(state, transforms, self._camera, average=average)
+            both = self.avatar.render_exposure(state, transforms, camera, average=average)
             return Exposure(*both), state
-        rendering = self.avatar.render(state, shown, self._camera, average=average)
+        rendering = self.avatar.render(state, shown, camera, average=average)
         return Exposure(rendering, None), state
 
     def _blend(self, exposure: Exposure, state: FrameState) -> Blend | None:
@@ -292,7 +304,7 @@ class AvatarFit:
     def _is_still(self, index: int) -> bool:
         """Whether a frame counts as still, which is settled once, when it first matters."""
         if self._still is None:
-            self._still = still_frames(self.trajectory, list(self._targets))
+            self._still = still_frames(self.trajectory, self._targets.frames)
         return index in self._still
 
     def _densify(self, step: TrainingStep, rendering: Rendering) -> None:
@@ -305,7 +317,7 @@ class AvatarFit:
         params = step.fitting.densify
         if not (step.past(params.start) and step.iteration < params.stop * step.scale):
             return
-        camera = self._camera
+        camera = self._targets.camera
         screen = rasterized.screen
         size = (camera.width, camera.height)
         self._densifier.observe(screen.means2d_grad, rasterized.radii, *size)
@@ -316,7 +328,7 @@ class AvatarFit:
 
     def _next_frame(self) -> int:
         if not self._queue:
-            frames = list(self._targets)
+            frames = self._targets.frames
             order = torch.randperm(
                 len(frames), generator=self._generator, device=self._device
             ).tolist()

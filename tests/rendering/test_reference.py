@@ -8,6 +8,7 @@ from deblur_avatar.rendering.conventions import (
     EPS2D,
     MAX_ALPHA,
     MIN_ALPHA,
+    eps2d_of,
 )
 from deblur_avatar.rendering.covariances import upper_triangles
 from deblur_avatar.rendering.rasterize import rasterize
@@ -43,6 +44,25 @@ def test_one_gaussian_has_its_opacity_at_its_centre_and_falls_off_as_projected()
     assert float(found.alpha[0, 2, 2]) == pytest.approx(0.8)
     assert float(found.alpha[0, 2, 3]) == pytest.approx(beside)
     assert float(found.alpha[0, 1, 2]) == pytest.approx(beside)
+
+
+def test_a_binned_picture_is_the_area_average_of_the_whole_one():
+    def apart(eps2d):
+        whole = seen_along_the_axis([2.0], [0.8], [[1.0]], size=40).image[0]
+        average = torch.nn.functional.avg_pool2d(whole.permute(2, 0, 1)[None], 2)[0, 0]
+        K = torch.tensor([[50.0, 0, 10], [0, 50.0, 10], [0, 0, 1]], **F64)
+        means = torch.tensor([[[0.0, 0, 2]]], **F64)
+        small = rasterize(
+            means, 1e-4 * torch.eye(3, **F64)[None], torch.tensor([0.8], **F64),
+            torch.ones(1, 1, **F64), torch.eye(4, **F64), K, 20, 20, backend="reference",
+            eps2d=eps2d,
+        )  # fmt: skip
+        return float((small.image[0, ..., 0] - average).abs().max())
+
+    assert eps2d_of(1.0) == EPS2D
+    assert eps2d_of(2.0) == pytest.approx(0.1375)
+    # The peak of so small a Gaussian is lower in the average, whatever the low-pass.
+    assert apart(eps2d_of(2.0)) < 0.5 * apart(EPS2D)
 
 
 def test_the_nearer_gaussian_covers_the_farther_one():

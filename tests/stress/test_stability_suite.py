@@ -34,7 +34,9 @@ from tests.structure.pipeline_files import ROOT
 PARAMS = ROOT / "stability/params.yaml"
 METHODS = ("agnostic", "paper", "lean")
 CPU = torch.device("cpu")
-SCHEDULE = ScheduleParams(warmup=6, trajectory=10, fusion=14, gaussians=200, image_height=32)
+SCHEDULE = ScheduleParams(
+    warmup=6, trajectory=10, fusion=14, gaussians=200, image_height=32, levels=()
+)
 SEVERITIES = {
     "seeds": ("seed 0", {"scene": "turn", "damage": {}, "fit": {}}),
     "noise_iid": ("6 degrees", {"scene": "turn", "damage": {"noise_iid_degrees": 6.0}, "fit": {}}),

@@ -1,8 +1,11 @@
 import dataclasses
 
+import pytest
 import torch
 
-from deblur_avatar.training.targets import target_of
+from deblur_avatar.training.targets import BOX_MARGIN, Targets, target_of
+
+CPU = torch.device("cpu")
 
 
 def test_colours_that_mean_nothing_are_not_compared(observations):
@@ -20,3 +23,47 @@ def test_colours_that_mean_nothing_are_not_compared(observations):
     render = torch.ones_like(first.image)
     assert first.comparable_part(render)[:, : comparable.shape[2] // 2].max() == 0
     assert first.comparable_part(render)[:, comparable.shape[2] // 2 :].min() == 1
+
+
+def test_a_smaller_frame_is_the_area_average_of_light(observations):
+    frames = observations.frames.clone()
+    frames[:, ::2] = 0
+    frames[:, 1::2] = 255
+    for space, grey in (("srgb", 0.5), ("linear", 0.7354)):  # half the light of white
+        seen = dataclasses.replace(observations, frames=frames, averaging_space=space)
+        small = Targets(seen, 0.5, CPU)[0]
+        torch.testing.assert_close(
+            small.image, torch.full_like(small.image, grey), atol=1e-4, rtol=0
+        )
+        whole = Targets(seen, 1.0, CPU)[0]
+        assert small.image.shape[0] == whole.image.shape[0] // 2
+        assert float(small.matte.mean()) == pytest.approx(float(whole.matte.mean()), abs=1e-6)
+
+
+def test_a_smaller_pixel_is_compared_only_if_all_that_it_averages_may_be(observations):
+    comparable = torch.full_like(observations.mattes, 255)
+    comparable[:, 3, 5] = 0
+    seen = dataclasses.replace(observations, comparable=comparable)
+    small = Targets(seen, 0.5, CPU)[0]
+    assert small.comparable is not None
+    left_out = (small.comparable == 0).nonzero().tolist()
+    assert left_out == [[1, 2]]
+    assert small.image[1, 2].max() == 0
+
+
+def test_the_camera_of_smaller_frames_sees_the_same_person(observations):
+    whole, small = (Targets(observations, share, CPU).camera for share in (1.0, 0.5))
+    assert (small.width, small.height, small.binning) == (whole.width // 2, whole.height // 2, 2)
+    point = torch.tensor([0.3, -0.2, 1.0])
+    assert torch.allclose((whole.K @ point)[:2] / 2, (small.K @ point)[:2])
+
+
+def test_the_box_holds_the_person_at_every_size(observations):
+    for share in (1.0, 0.5):
+        target = Targets(observations, share, CPU)[0]
+        left, top, right, bottom = target.box
+        outside = target.matte.clone()
+        outside[top:bottom, left:right] = 0
+        assert outside.max() == 0
+        rows = torch.nonzero(target.matte.amax(1)).flatten()
+        assert top == max(int(rows.min()) - BOX_MARGIN, 0)

@@ -18,7 +18,7 @@ from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.training.fusion_network import FusionNetwork, FusionNetworkParams
 from deblur_avatar.training.params import FitParams
-from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.schedule import LevelParams, ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit
 from tests.changed_parameters import changed
 
@@ -38,9 +38,10 @@ def quiet(iteration, terms):
     pass
 
 
-def paced(schedule, last):
+def paced(schedule, last, levels=()):
     """A schedule on which a run ends at `last`."""
-    return schedule.model_copy(update={"warmup": 1, "trajectory": 2, "fusion": last})
+    ends = {"warmup": 1, "trajectory": 2, "fusion": last}
+    return schedule.model_copy(update=ends | {"levels": levels})
 
 
 def motion_of(kind, noise, **changes):
@@ -63,7 +64,7 @@ def begin(observations, recipe, schedule):
 
     def make(
         params=recipe, motion="fixed", noise=0.05, last=18, seen=observations, fused=False,
-        count=80, **moves,
+        count=80, levels=(), **moves,
     ):  # fmt: skip
         torch.manual_seed(0)
         generator = torch.Generator().manual_seed(0)
@@ -79,7 +80,7 @@ def begin(observations, recipe, schedule):
             model.pose_code_size, len(seen.frames), 4, 4, [8], params.model.precision
         )
         fitted = FitParams(
-            recipe=params, motion=section, schedule=paced(schedule, last), fusion=blend
+            recipe=params, motion=section, schedule=paced(schedule, last, levels), fusion=blend
         )
         return AvatarFit(model, trajectory, seen, fitted, CPU, generator, network)
 
@@ -527,17 +528,61 @@ def test_gaussians_are_looked_up_again_every_hundred_steps(begin, held_alike, lo
     assert sorted(look_ups) == sorted(2 * BOTH)
 
 
-def continued(fit, motion, checkpoint, seen, params, schedule, last):
+def continued(fit, motion, checkpoint, seen, params, schedule):
     """A new fit that knows only what was saved, and where random draws stood."""
     model = avatar_from_artifact(fit.avatar.to_artifact(checkpoint.iteration), seen.body, CPU)
     generator = torch.Generator()
     generator.set_state(fit._generator.get_state())
-    fitted = FitParams(
-        recipe=params, motion=motion_of(motion.kind, 0.0), schedule=paced(schedule, last)
-    )
+    fitted = FitParams(recipe=params, motion=motion_of(motion.kind, 0.0), schedule=schedule)
     again = AvatarFit(model, trajectory_from_artifact(motion), seen, fitted, CPU, generator)
     again.restore(checkpoint)
     return again
+
+
+HALF = LevelParams(until=0.66, size=0.5, gaussians=0.25, virtual_poses=3)
+
+
+def test_pictures_and_avatar_grow_from_level_to_level(begin, schedule, plain_recipe):
+    recipe = changed(without_densification(plain_recipe), "fitting.regularisers", smooth_colors=0.1)
+    whole = schedule.gaussians
+    fit = begin(params=recipe, motion="clip", last=9, levels=(HALF,), count=whole // 4)
+    taken, sizes, counts = [], [], []
+    render = fit.avatar.render
+
+    def watched(state, transforms, camera, **options):
+        taken.append(len(transforms))
+        sizes.append((camera.width, camera.binning))
+        return render(state, transforms, camera, **options)
+
+    fit.avatar.render = watched
+    fit.run(1, 9, "mean", "mean", lambda *_: counts.append(len(fit.avatar.gaussians)))
+    assert taken == [3] * 6 + [5] * 3
+    assert sizes == [(12, 2.0)] * 6 + [(24, 1.0)] * 3
+    assert counts == [whole // 4] * 6 + [whole] * 3
+    assert (
+        fit.trajectory.to_artifact(fit.avatar.betas, torch.arange(5) / 30.0).num_samples.tolist()
+        == [5] * 5
+    )
+
+
+@pytest.mark.parametrize("stopped", [98, 99, 100])
+def test_a_fit_restored_beside_the_step_where_it_grows_goes_on_bit_for_bit(
+    begin, recipe, schedule, sharpened, tmp_path, stopped
+):
+    seen = sharpened(train=(0, 1, 2))
+    params = without_densification(recipe)
+    fit = begin(params=params, motion="pair", seen=seen, last=150, count=20, levels=(HALF,))
+    fit.run(1, stopped, "mean", "mean", quiet)
+    fit.checkpoint(stopped).save(tmp_path / "checkpoint")
+    motion = fit.trajectory.to_artifact(seen.poses.betas, seen.timestamps)
+    checkpoint = Checkpoint.load(tmp_path / "checkpoint")
+    again = continued(fit, motion, checkpoint, seen, params, paced(schedule, 150, (HALF,)))
+    again._queue = list(fit._queue)
+    for one in (fit, again):
+        one.avatar.invalidate_neighbours()
+        one.run(stopped + 1, 104, "mean", "mean", quiet)
+    assert len(fit.avatar.gaussians) == schedule.gaussians
+    assert not moved(everything(fit), everything(again))
 
 
 @pytest.mark.parametrize("gain", ["none", "frame"])
@@ -556,7 +601,7 @@ def test_a_restored_fit_goes_on_bit_for_bit_as_the_uninterrupted_one(
     fit.checkpoint(99).save(tmp_path / "checkpoint")
     motion = fit.trajectory.to_artifact(seen.poses.betas, seen.timestamps)
     again = continued(
-        fit, motion, Checkpoint.load(tmp_path / "checkpoint"), seen, params, schedule, 150
+        fit, motion, Checkpoint.load(tmp_path / "checkpoint"), seen, params, paced(schedule, 150)
     )
     assert not moved(everything(fit), everything(again))
     for one in (fit, again):
@@ -673,7 +718,9 @@ def test_how_far_a_blurred_hand_has_moved_is_found_but_not_which_way_nor_without
     moves = motion_of("pair", noise, rates={"poses": 0.02, "transl": 1e-3})
     generator = torch.Generator().manual_seed(0)
     motion = PairMotion(seen.poses, instants(5, "midpoints"), noise, generator)
-    schedule = ScheduleParams(warmup=1, trajectory=2, fusion=last, gaussians=1, image_height=size)
+    schedule = ScheduleParams(
+        warmup=1, trajectory=2, fusion=last, gaussians=1, image_height=size, levels=()
+    )
     fitted = FitParams(recipe=params, motion=moves, schedule=schedule)
     fit = AvatarFit(model, motion, seen, fitted, CPU, generator)
     fit.run(1, last, "mean", "mean", quiet)
