@@ -166,6 +166,7 @@ def _kind(event: FunctionEvent | None) -> str:
         "_CovarianceFactors": "covariance factors kernel",
         "_Covariances": "covariance factors kernel",
         "_Isometry": "isometry kernel",
+        "_Smoothness": "smoothness kernel",
         "_Layers": "layers",
     }
     while event is not None:
