@@ -167,6 +167,7 @@ def _kind(event: FunctionEvent | None) -> str:
         "_Covariances": "covariance factors kernel",
         "_Isometry": "isometry kernel",
         "_Smoothness": "smoothness kernel",
+        "_PictureLosses": "losses kernel",
         "_Layers": "layers",
     }
     while event is not None:
