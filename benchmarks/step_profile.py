@@ -166,6 +166,8 @@ def _kind(event: FunctionEvent | None) -> str:
         "_CovarianceFactors": "covariance factors kernel",
         "_Covariances": "covariance factors kernel",
         "_Isometry": "isometry kernel",
+        "_Smoothness": "smoothness kernel",
+        "_PictureLosses": "losses kernel",
         "_Layers": "layers",
     }
     while event is not None:

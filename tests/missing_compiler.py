@@ -10,7 +10,7 @@ from deblur_avatar.rendering.native_build import BuildError
 def check_a_warning_without_a_compiler(module: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     """It has no library, and warns with the reason; one that it has loaded before stays."""
 
-    def fail(source: object) -> None:
+    def fail(*source_and_defines: object) -> None:
         raise BuildError("no C++ compiler")
 
     monkeypatch.setattr(module, "load_library", fail)

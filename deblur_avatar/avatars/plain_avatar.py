@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
+from deblur_avatar.avatars.knn_smoothness import knn_smoothness
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, SplatFitting
-from deblur_avatar.avatars.regularisers import knn_smoothness
 from deblur_avatar.avatars.splats import SplatAvatar, SplatRendering, SplatState
 from deblur_avatar.avatars.surface_projection import SurfaceProjection, closest_points
 from deblur_avatar.config.section import NonNegative, Params

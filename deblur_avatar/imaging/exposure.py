@@ -44,7 +44,7 @@ def mean_of_instants(images: Float[Tensor, "S *image"]) -> Float[Tensor, "*image
     Images are in the space in which light is averaged; coverage is averaged alike. Renders that
     the rasterizer has averaged already (`average=True`, the fused twin) are one instant here.
     """
-    return images.mean(0)
+    return images.squeeze(0) if len(images) == 1 else images.mean(0)
 
 
 def with_instant(

@@ -13,6 +13,7 @@ from deblur_avatar.imaging.exposure import encode
 from deblur_avatar.motion.trajectory import Instants, MotionParams, Trajectory
 from deblur_avatar.training.losses import LOSSES, Comparison, Loss
 from deblur_avatar.training.params import RecipeParams
+from deblur_avatar.training.picture_losses import KNOWN, has_kernel, picture_losses
 from deblur_avatar.training.targets import Target
 
 
@@ -52,19 +53,36 @@ class Objective:
         self, compared: list[tuple[float, Tensor]], alpha: Tensor, target: Target
     ) -> dict[str, Tensor]:
         """How far pictures (with their shares) and coverage are from a frame and its matte."""
-        averaging_space = self._avatar.averaging_space
-        images = [
-            (w, target.comparable_part(encode(image, averaging_space))) for w, image in compared
-        ]
-        terms = {}
-        for name, (row, compare) in self._losses.items():
+        terms = self._known_to_kernel(compared, alpha, target)
+        space = self._avatar.averaging_space
+        rest = [name for name in self._losses if name not in terms]
+        shown = compared if rest else []
+        images = [(share, target.comparable_part(encode(image, space))) for share, image in shown]
+        for name in rest:
+            row, compare = self._losses[name]
             if row.region == "coverage":
                 apart = compare(alpha, target.matte)
             else:
                 seen = [share * _in_region(row, compare, image, target) for share, image in images]
                 apart = torch.stack(seen).sum()
             terms[name] = self._weights[name] * target.weight * apart
-        return terms
+        return {name: terms[name] for name in self._losses}
+
+    def _known_to_kernel(
+        self, compared: list[tuple[float, Tensor]], alpha: Tensor, target: Target
+    ) -> dict[str, Tensor]:
+        """Those terms that come of one pass over a picture, if it alone is compared."""
+        if len(compared) > 1 or compared[0][0] != 1 or not has_kernel(compared[0][1], alpha):
+            return {}
+        names = {
+            compare: name
+            for name, (row, compare) in self._losses.items()
+            if (row.region, compare) in KNOWN
+        }
+        weights = {compare: self._weights[name] * target.weight for compare, name in names.items()}
+        space = self._avatar.averaging_space
+        losses = picture_losses(compared[0][1], alpha, target, space, weights)
+        return {names[compare]: loss for compare, loss in losses.items()}
 
     def regularisers(self, rendering: Rendering, step: TrainingStep) -> dict[str, Tensor]:
         """What the avatar is held to, whatever it looks like."""

@@ -8,6 +8,7 @@ from deblur_avatar.imaging.exposure import (
     exposure_seconds,
     frames_before,
     frames_with_whole_window,
+    mean_of_instants,
 )
 
 pytestmark = pytest.mark.portable
@@ -53,6 +54,14 @@ def test_the_order_of_sub_frames_is_invisible(averaging_space):
 def test_gradients_reach_every_sub_frame(averaging_space):
     images = torch.rand(3, 2, 2, 3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda x: expose(x, averaging_space), images)
+
+
+def test_the_mean_of_one_instant_is_that_instant_with_all_of_its_gradient():
+    instant = torch.rand(1, 2, 3, 3, requires_grad=True)
+    mean = mean_of_instants(instant)
+    assert torch.equal(mean, instant[0])
+    (grad,) = torch.autograd.grad(mean, instant, torch.full_like(mean, 3.0))
+    assert torch.equal(grad, torch.full_like(instant, 3.0))
 
 
 def test_the_papers_windows_last_as_long_as_the_paper_says():
