@@ -20,6 +20,7 @@ from deblur_avatar.rendering.native_build import (
     load_library,
     pointers,
 )
+from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("knn_smoothness.cpp")
 
@@ -68,7 +69,7 @@ class _Smoothness(torch.autograd.Function):
         loss = values.new_empty(())
         library = _library()
         assert library is not None
-        sizes = *values.shape, neighbours.shape[1], torch.get_num_threads()
+        sizes = *values.shape, neighbours.shape[1], kernel_threads()
         problem = library.knn_smoothness(*sizes, *pointers(*inputs, loss, grad))
         if problem == _NO_SUCH_NEIGHBOUR:
             raise IndexError(f"neighbours must be indices of {len(values)} Gaussians")

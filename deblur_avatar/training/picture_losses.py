@@ -24,6 +24,7 @@ from deblur_avatar.rendering.native_build import (
     load_library,
     pointers,
 )
+from deblur_avatar.run import kernel_threads
 from deblur_avatar.training.losses import (
     STRUCTURE_SCALES,
     Comparison,
@@ -107,7 +108,7 @@ def _call(
     grads = torch.empty_like(inputs[0]), torch.empty_like(inputs[1])
     library = _library()
     assert library is not None
-    sizes = *alpha.shape, torch.get_num_threads(), linear
+    sizes = *alpha.shape, kernel_threads(), linear
     box, shares = (ctypes.c_int64 * 4)(*target.box), (ctypes.c_double * len(weights))(*weights)
     odd = library.picture_losses(*sizes, box, shares, *pointers(*inputs, part, losses, *grads))
     if odd:
