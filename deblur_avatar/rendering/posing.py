@@ -68,12 +68,13 @@ class _Posing(torch.autograd.Function):
         poses, joints = transforms.shape[:2]
         # One row of 12 B numbers a joint.
         rows = transforms[:, :, :3].permute(1, 0, 2, 3).contiguous()
-        inputs = [value.contiguous() for value in (means, covariance_factors, lbs_weights)] + [rows]
         count = len(means)
-        posed = means.new_empty(poses, count, 3), means.new_empty(poses, count, 6)
         sizes = (poses, count, joints, kernel_threads())
         library = _library()
         assert library is not None
+        groups = _grouped(library, lbs_weights.contiguous())
+        inputs = [means.contiguous(), covariance_factors.contiguous(), *groups, rows]
+        posed = means.new_empty(poses, count, 3), means.new_empty(poses, count, 6)
         library.pose(*sizes, *pointers(*inputs, *posed))
         ctx.save_for_backward(*inputs)
         ctx.sizes = sizes
@@ -83,13 +84,13 @@ class _Posing(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, means_grad: Tensor, covars_grad: Tensor) -> tuple[Tensor | None, ...]:
         inputs = ctx.saved_tensors
-        means, covariance_factors, lbs_weights, rows = inputs
+        means, covariance_factors, *_, rows = inputs
         poses, count, joints, _ = ctx.sizes
         library = _library()
         assert library is not None
         grads = [torch.empty_like(means), torch.empty_like(covariance_factors)]
         wanted = ctx.needs_input_grad[2]  # not where weights are the body's own
-        weights_grad = torch.empty_like(lbs_weights) if wanted else None
+        weights_grad = means.new_empty(count, joints) if wanted else None
         partials = means.new_empty(library.chunks(count), joints, poses, 12)
         rows_grad = torch.empty_like(rows)
         upstream = means_grad.contiguous(), covars_grad.contiguous()
@@ -100,6 +101,24 @@ class _Posing(torch.autograd.Function):
         return *grads, weights_grad, transforms_grad
 
 
+def _grouped(library: ctypes.CDLL, lbs_weights: Tensor) -> list[Tensor]:
+    """Which Gaussians are posed together, and the joints that each group of them follows.
+
+    Places of Gaussians, ends of each group's joints, joints, weights; what no group has is not set.
+    """
+    count, joints = lbs_weights.shape
+    groups = library.groups(count)
+    found = [
+        torch.empty(count, dtype=torch.int32),
+        torch.empty(groups, dtype=torch.int64),
+        torch.empty(groups, joints, dtype=torch.int32),
+        lbs_weights.new_empty(groups, joints, library.lanes()),
+    ]
+    sizes = count, joints, kernel_threads()
+    library.group_by_joint(*sizes, *pointers(lbs_weights, *found))
+    return found
+
+
 @cache
 def _library() -> ctypes.CDLL | None:
     try:
@@ -107,9 +126,15 @@ def _library() -> ctypes.CDLL | None:
     except BuildError as error:
         warnings.warn(f"Gaussians are posed in plain torch, slowly: {error}", stacklevel=2)
         return None
-    sizes = [ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int]
-    library.pose.argtypes = [*sizes, *[ctypes.c_void_p] * 6]
-    library.pose_backward.argtypes = [*sizes, *[ctypes.c_void_p] * 11]
-    library.pose.restype = library.pose_backward.restype = None
-    library.chunks.argtypes, library.chunks.restype = [ctypes.c_int64], ctypes.c_int64
+    integers = {"group_by_joint": 2, "pose": 3, "pose_backward": 3}  # sizes, before the threads
+    tensors = {"group_by_joint": 5, "pose": 9, "pose_backward": 14}
+    for name, count in tensors.items():
+        function = getattr(library, name)
+        sizes = [*[ctypes.c_int64] * integers[name], ctypes.c_int]
+        function.argtypes = [*sizes, *[ctypes.c_void_p] * count]
+        function.restype = None
+    for name in ("chunks", "groups"):
+        getattr(library, name).argtypes = [ctypes.c_int64]
+    for name in ("chunks", "groups", "lanes"):
+        getattr(library, name).restype = ctypes.c_int64
     return library

@@ -38,7 +38,7 @@ def with_gradients(function, inputs):
 
 
 @pytest.mark.parametrize("poses", [1, 5, 9])
-@pytest.mark.parametrize("count", [0, 1, 3, 256, 700])
+@pytest.mark.parametrize("count", [0, 1, 3, 256, 700, 1025, 2050])  # up to three chunks
 def test_the_kernel_agrees_with_its_slow_twin_in_value_and_gradient(count, poses):
     native = with_gradients(pose_gaussians, scene(count, poses))
     exact = with_gradients(pose_gaussians_reference, scene(count, poses, torch.float64))
