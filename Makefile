@@ -28,11 +28,11 @@ repro: code
 	$(BIN)/deblur-avatar repro $(if $(SCENES),--scenes $(SCENES))
 
 # From a video (or a folder of pictures) to an avatar: make avatar VIDEO=clip.mp4 [NAME=...] [METHOD=lean]
-# [SCHEDULE=medium]
+# [SCHEDULE=large]
 avatar: code
 	$(if $(VIDEO),,$(error make avatar needs a video: make avatar VIDEO=clip.mp4))
 	$(BIN)/deblur-avatar video "$(VIDEO)" --name "$(NAME)" \
-	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),medium)
+	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),large)
 
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: code

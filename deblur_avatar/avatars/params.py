@@ -62,6 +62,10 @@ class FittingParams(Params):
         """
         return {}
 
+    def pace_of_means(self, gaussians: int) -> float:
+        """By how much the rate of positions is multiplied, with so many Gaussians."""
+        return 1.0
+
     def check(self, model: Any) -> None:
         """Refuse settings of parts that an avatar does not have.
 

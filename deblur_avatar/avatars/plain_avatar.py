@@ -10,15 +10,21 @@ from torch import Tensor
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
 from deblur_avatar.avatars.knn_smoothness import knn_smoothness
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, SplatFitting
+from deblur_avatar.avatars.regularisers import elongation
 from deblur_avatar.avatars.splats import SplatAvatar, SplatRendering, SplatState
 from deblur_avatar.avatars.surface_projection import SurfaceProjection, closest_points
-from deblur_avatar.config.section import NonNegative, Params
+from deblur_avatar.config.section import Count, NonNegative, Params
 from deblur_avatar.rendering.covariance_factors import covariance_factors
 
 COLORS = 3  # raw colours, the logits of what is rendered
 # Metres off the body that weigh like a unit of a raw colour. Not a parameter: a unit, beside the
 # weight of the penalty.
 HEIGHT = 0.01
+
+
+# Times its width that a Gaussian may be long. Not a parameter: a flat one may fill a gap between
+# its neighbours, a longer one sticks out where only another camera would see it.
+LONGEST = 2.0
 
 
 class PlainParams(AvatarParams):
@@ -33,17 +39,27 @@ class SmoothnessParams(Params):
     smooth_colors: NonNegative  # neighbours' raw colours are alike
     smooth_shapes: NonNegative  # their raw scales and opacities
     smooth_heights: NonNegative  # and how far they stand off the body
+    needles: NonNegative  # no Gaussian is much longer than it is wide; whatever is seen
 
 
 class PlainFitting(SplatFitting):
-    """Gaussians that take after their neighbours."""
+    """Gaussians that take after their neighbours.
 
+    With more than `rate_holds_to` of them, the rate of their positions falls as their spacing
+    does, so that a step stays the same share of it.
+    """
+
+    rate_holds_to: Count
     regularisers: SmoothnessParams
 
+    def pace_of_means(self, gaussians: int) -> float:
+        """The ratio of spacings on a surface."""
+        return min(1.0, (self.rate_holds_to / gaussians) ** 0.5)
+
     def weights(self, step: TrainingStep, occluded_fraction: float) -> Mapping[str, float]:
-        """By the square of the occluded fraction."""
+        """By the square of the occluded fraction; needles, which point at the camera, by none."""
         return {
-            name: occluded_fraction**2 * value
+            name: value if name == "needles" else occluded_fraction**2 * value
             for name, value in self.regularisers.model_dump().items()
         }
 
@@ -93,6 +109,7 @@ class PlainAvatar(SplatAvatar):
             "smooth_colors": lambda: smooth(gaussians.features),
             "smooth_shapes": lambda: smooth(shapes()),
             "smooth_heights": lambda: smooth(heights()),
+            "needles": lambda: elongation(gaussians.log_scales, LONGEST),
         }
 
     def invalidate_neighbours(self) -> None:

@@ -1,7 +1,21 @@
 """Penalties on an avatar itself, whatever it looks like; 0 when nothing is wrong."""
 
+import math
+
 from jaxtyping import Float
 from torch import Tensor
+
+
+def elongation(log_scales: Float[Tensor, "N 3"], longest: float) -> Float[Tensor, ""]:
+    """By how much more than `longest` times the second scale the largest is, mean logarithm.
+
+    One camera does not see how far a Gaussian reaches along its rays.
+
+    Source: the bound on anisotropy of PhysGaussian (Xie et al., CVPR 2024), of the two larger
+    scales, so that flat Gaussians stay free.
+    """
+    ordered = log_scales.sort(dim=1).values
+    return (ordered[:, 2] - ordered[:, 1] - math.log(longest)).relu().mean()
 
 
 def skinning_distance(

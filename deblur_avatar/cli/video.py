@@ -118,7 +118,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("video", type=Path, help="a video file or a folder of pictures")
     parser.add_argument("--name", default="", help="of the avatar; default: after the file")
     parser.add_argument("--method", default="lean", help="a row of the tables (default: lean)")
-    parser.add_argument("--schedule", default="medium", help="of params.yaml (default: medium)")
+    parser.add_argument(
+        "--schedule",
+        default="large",
+        help="of params.yaml (default: large; medium is a quick look)",
+    )
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -172,7 +176,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "frames": [0, None],
         "stride": 1,
         "fps": 30.0,
-        "image_height": 540,
+        "image_height": 720,
         "focal": "estimated",
         "field_of_view": 60.0,
         "exposure_s": None,
@@ -200,7 +204,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
     return {
         "shared": "../../params.yaml",
         "seed": 0,
-        "schedule": "medium",
+        "schedule": "large",
         "scenes": {name: scene},
         "warmups": {},
         "runs": {},

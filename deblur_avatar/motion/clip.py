@@ -49,6 +49,10 @@ from deblur_avatar.motion.virtual_poses import farthest_travel
 
 logger = logging.getLogger(__name__)
 
+# Not a parameter: the unit of `pixels_per_pose`. How many instants explain a blur depends on how
+# far it goes in terms of the person, so that pictures of a clip at any size take as many.
+REFERENCE_HEIGHT = 192  # pixels
+
 
 class GivenShutter(Params):
     """The clip says how long the shutter was open."""
@@ -76,7 +80,8 @@ class ClipParams(FittedMotionParams):
 
     kind: Literal["clip"]
     virtual_poses: Count  # at most, where `pixels_per_pose` says how many
-    pixels_per_pose: NonNegative  # farthest travel in the picture per virtual pose; 0: always all
+    # Farthest travel per virtual pose, in pixels of a picture 192 high; 0: always all of them.
+    pixels_per_pose: NonNegative
     shutter: Annotated[GivenShutter | EstimatedShutter, Field(discriminator="kind")]
     quadrature: Quadrature  # of the instants that are saved; fitting takes midpoints
     knot_frames: Positive  # frames between two knots of the trajectory, at most
@@ -246,7 +251,8 @@ class ClipMotion(Trajectory):
     def choose_samples(self, observations: Observations) -> None:
         """A virtual pose per `pixels_per_pose` of the farthest travel."""
         if self._pixels_per_pose > 0:
-            travel = farthest_travel(self, observations)
+            height = observations.frames.shape[1]
+            travel = farthest_travel(self, observations) * (REFERENCE_HEIGHT / height)
             wanted = (travel / self._pixels_per_pose).ceil().long()
             self.samples_per_frame.copy_(wanted.clamp(1, len(self.u)))
 

@@ -16,6 +16,9 @@ from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.picture_losses import KNOWN, has_kernel, picture_losses
 from deblur_avatar.training.targets import Target
 
+# Not a parameter: a unit. Of a picture that is cut to a person's path over a clip, she is so much.
+PERSON_SHARE = 0.12
+
 
 class Objective:
     """What an avatar and its motion are held to.
@@ -40,7 +43,7 @@ class Objective:
     ) -> None:
         self._avatar, self._trajectory = avatar, trajectory
         self._observations, self._motion = observations, motion
-        self._weights = recipe.losses
+        self._weights = _weights_of_losses(recipe, observations)
         self._losses = _chosen(recipe, device)
 
     @property
@@ -95,6 +98,24 @@ class Objective:
         weights = self._motion.weights()
         terms = self._trajectory.priors(index, instants, self._observations)
         return {name: weights[name] * term() for name, term in terms.items() if weights[name] > 0}
+
+
+def _weights_of_losses(recipe: RecipeParams, observations: Observations) -> dict[str, float]:
+    """Weights of means over the picture, which are those over the person if these are asked for.
+
+    A mean over the person is one over the picture, times how much larger the picture is. Weights
+    hold for a picture of which the person is `PERSON_SHARE`.
+    """
+    weights = dict(recipe.losses)
+    shown = [index for index in observations.train if observations.weights[index] > 0]
+    share = float(observations.mattes[shown].float().mean()) / 255 if shown else 0.0
+    if recipe.mean_over == "picture" or share == 0:
+        return weights
+    larger = {name for name in weights if LOSSES[name].region != "box"}
+    return {
+        name: weight * (PERSON_SHARE / share if name in larger else 1.0)
+        for name, weight in weights.items()
+    }
 
 
 def _chosen(recipe: RecipeParams, device: torch.device) -> dict[str, tuple[Loss, Comparison]]:

@@ -42,13 +42,16 @@ class Optimizers:
         self.others = _other_optimizer(avatar, trajectory, fusion, rates, params)
         self.left_out = 0
         self._in_a_row = 0
-        self._clip, self._last = params.recipe.fitting.clip, params.schedule.fusion
+        self._fitting, self._schedule = params.recipe.fitting, params.schedule
 
     def set_rates(self, iteration: int) -> None:
         """Learning rates of one iteration."""
         for optimizer in self.all().values():
             for group in optimizer.param_groups:
-                group["lr"] = group["rate"].at(iteration / self._last)
+                group["lr"] = group["rate"].at(iteration / self._schedule.fusion)
+                if group["name"] == "means":
+                    count = self._schedule.gaussians_of(self._schedule.level_at(iteration))
+                    group["lr"] *= self._fitting.pace_of_means(count)
 
     def step(self, step: TrainingStep, total: Tensor) -> bool:
         """Move every unknown against its gradient; False if the step had to be left out.
@@ -107,8 +110,8 @@ class Optimizers:
             for parameter in group["params"]
             if group["name"] == "network" and parameter.grad is not None
         ]
-        if clipped and self._clip is not None:
-            torch.nn.utils.clip_grad_norm_(clipped, self._clip)
+        if clipped and self._fitting.clip is not None:
+            torch.nn.utils.clip_grad_norm_(clipped, self._fitting.clip)
         self.others.step()
 
     def _odd_gradient(self) -> str | None:

@@ -22,6 +22,7 @@ class RecipeParams(Params):
     model: AnyAvatarParams
     fitting: Any  # of the model's kind: its class `Fitting`
     losses: Annotated[Mapping[str, float], WeightsOf(LOSSES)]
+    mean_over: Literal["picture", "person"]  # of losses: what weights hold for, if both are cut out
     final_share: Fraction  # of the networks' and the motion's learning rates at the end
     exposure_gain: Literal["none", "frame"]  # frame: each may be brighter than the clip, or darker
 

@@ -1,7 +1,9 @@
+import math
+
 import pytest
 import torch
 
-from deblur_avatar.avatars.regularisers import skinning_distance
+from deblur_avatar.avatars.regularisers import elongation, skinning_distance
 
 pytestmark = pytest.mark.portable
 
@@ -21,3 +23,19 @@ def test_the_gradient_of_the_skinning_distance_is_that_of_its_value():
     own = torch.rand(3, 4, generator=seeded(1), dtype=torch.float64)
     assert skinning_distance(own, own) == 0
     assert torch.autograd.gradcheck(lambda x: skinning_distance(x, own), weights)
+
+
+def test_only_what_is_much_longer_than_wide_is_held_against_it():
+    flat = torch.tensor([[0.02, 0.02, 0.001], [0.02, 0.011, 0.01]]).log()  # and less than twice
+    assert elongation(flat, 2.0) == 0
+    needle = torch.tensor([[0.04, 0.01, 0.002]]).log()
+    assert elongation(needle, 2.0).item() == pytest.approx(math.log(2))
+    assert elongation(needle.flip(1), 2.0) == elongation(needle, 2.0)  # whichever axis is long
+    assert elongation(needle + 3.0, 2.0).item() == pytest.approx(math.log(2), abs=1e-5)
+    both = torch.cat([flat, needle])
+    assert elongation(both, 2.0).item() == pytest.approx(math.log(2) / 3)
+
+
+def test_the_gradient_of_elongation_is_that_of_its_value():
+    scales = torch.randn(6, 3, generator=seeded(), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: elongation(x, 2.0), scales)

@@ -121,7 +121,10 @@ def test_a_repositorys_damaged_parameters_are_named(root, video, section):
     ("changes", "message"),
     [
         ({"method": "magic"}, "no method 'magic', there is"),
-        ({"schedule": "eternal"}, "no schedule 'eternal', there is medium, short, full"),
+        (
+            {"schedule": "eternal"},
+            "no schedule 'eternal', there is medium, short, large, huge",
+        ),
         ({"name": "../up"}, "a name is small letters"),
         ({"name": "2nd"}, "a name is small letters"),
     ],

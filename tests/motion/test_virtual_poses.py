@@ -1,9 +1,11 @@
+import dataclasses
+
 import pytest
 import torch
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import parse
-from deblur_avatar.motion.clip import ClipMotion, ClipParams
+from deblur_avatar.motion.clip import REFERENCE_HEIGHT, ClipMotion, ClipParams
 from deblur_avatar.motion.frame import FixedMotion, FrameMotion
 from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.motion.virtual_poses import farthest_travel
@@ -57,10 +59,31 @@ def test_a_joint_that_goes_there_and_back_has_travelled(make_observations):
 
 def test_samples_follow_travel_between_one_and_the_most(make_observations, sampled):
     seen = make_observations(frames=9, degrees=12.0)
-    step = float(farthest_travel(along(seen), seen)[4]) / 2.5
+    height = seen.frames.shape[1]
+    step = float(farthest_travel(along(seen), seen)[4]) / 2.5 * REFERENCE_HEIGHT / height
     assert int(sampled(seen, pixels_per_pose=step, virtual_poses=9).num_samples(9)[4]) == 3
     assert int(sampled(seen, pixels_per_pose=step, virtual_poses=2).num_samples(9).max()) == 2
     assert sampled(seen, pixels_per_pose=1e6, virtual_poses=9).num_samples(9).tolist() == [1] * 9
+
+
+def test_pictures_of_any_size_take_as_many_samples(make_observations, sampled):
+    seen = make_observations(frames=9, degrees=12.0)
+    larger = dataclasses.replace(
+        seen,
+        frames=seen.frames.repeat_interleave(3, 1).repeat_interleave(3, 2),
+        mattes=seen.mattes.repeat_interleave(3, 1).repeat_interleave(3, 2),
+        cameras=dataclasses.replace(
+            seen.cameras,
+            Ks=torch.tensor([3.0, 3, 1])[:, None] * seen.cameras.Ks,
+            sizes=3 * seen.cameras.sizes,
+        ),
+    )
+    counts = [
+        sampled(one, pixels_per_pose=2.0, virtual_poses=9).num_samples(9).tolist()
+        for one in (seen, larger)
+    ]
+    assert counts[0] == counts[1]
+    assert 1 < max(counts[0]) < 9
 
 
 def test_without_a_step_every_exposure_has_all_poses(make_observations, sampled):

@@ -799,3 +799,48 @@ def test_a_frame_that_is_trusted_less_counts_less(begin, recipe, sharpened, obse
     for name in ("l1", "structure", "mask"):
         assert less[name] == pytest.approx(whole[name] / 2, rel=1e-6)
     assert less["skinning"] == pytest.approx(whole["skinning"], rel=1e-6)
+
+
+def widened(seen, margin):
+    """The same frames with so many black pixels around them."""
+    around = (margin,) * 4
+    K = seen.cameras.Ks.clone()
+    K[:, :2, 2] += margin
+    height, width = (side + 2 * margin for side in seen.frames.shape[1:3])
+    pad = torch.nn.functional.pad
+    return dataclasses.replace(
+        seen,
+        frames=pad(seen.frames, (0, 0, *around)),
+        mattes=pad(seen.mattes, around),
+        cameras=dataclasses.replace(
+            seen.cameras, Ks=K, sizes=torch.tensor([[width, height]]).expand(len(K), 2).clone()
+        ),
+    )
+
+
+def test_a_crop_changes_no_loss_of_a_mean_over_the_person(begin, plain_recipe, observations):
+    wide = widened(observations, 12)
+    for mean_over, alike in (("person", True), ("picture", False)):
+        params = plain_recipe.model_copy(update={"mean_over": mean_over})
+        near, far = (
+            begin(params=params, seen=one).step(1, "sharp", "mean") for one in (observations, wide)
+        )
+        for name in ("l1", "mask"):
+            # Not quite, where the person stands at the rim of so small a picture.
+            same = near[name] == pytest.approx(far[name], rel=0.15)
+            assert same == alike, name
+
+
+def test_more_gaussians_move_in_smaller_steps(begin, plain_recipe, schedule):
+    recipe = changed(plain_recipe, "fitting", rate_holds_to=schedule.gaussians)
+    rates = {}
+    for share in (1, 4):
+        fit = begin(params=recipe, last=9)
+        more = fit._params.schedule.model_copy(update={"gaussians": share * schedule.gaussians})
+        fit.optimizers._schedule = more
+        fit.optimizers.set_rates(5)
+        groups = fit.optimizers.gaussians.param_groups
+        rates[share] = {group["name"]: group["lr"] for group in groups}
+    assert rates[4]["means"] == pytest.approx(rates[1]["means"] / 2)
+    assert rates[4]["scales"] == rates[1]["scales"]
+    assert recipe.fitting.pace_of_means(1) == 1  # fewer never move faster

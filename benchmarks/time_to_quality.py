@@ -1,0 +1,247 @@
+"""Time to quality: how long a fit takes until it is as good as a long one, within 0.2 dB.
+
+    python -m benchmarks.time_to_quality --json FILE [--sizes 192 512] [--methods lean]
+
+films the synthetic studio at each size, fits it with the schedule of that size, and scores avatars
+kept on the way against sharp novel views (PSNR over the surface that the training camera saw). The
+reference is what a run of 15,000 iterations without levels reaches with the same settings: it takes
+an hour, is run once by `--reference`, and stands in `--references FILE`, which a record is compared
+with. Seconds are of fitting alone, by the clock and of the processor; a record wants an idle
+machine. `--beside` adds what a second fit on the same cores costs.
+"""
+
+import argparse
+import json
+import multiprocessing
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+
+from benchmarks.rasterizer import machine
+from deblur_avatar import run
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.reference import Reference
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.bodies.registry import BodySource
+from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
+from deblur_avatar.evaluation.spacing import evenly_spaced
+from deblur_avatar.evaluation.truth_views import truth_views
+from deblur_avatar.parameters import MethodParams
+from deblur_avatar.pipeline.blur import BlurParams, blur
+from deblur_avatar.pipeline.body import build_body
+from deblur_avatar.pipeline.clip import ClipParams, load_clip
+from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.pipeline.preprocess import PreprocessParams, preprocess
+from deblur_avatar.pipeline.trajectory import fit_trajectory
+from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.training.params import RecipeParams
+from deblur_avatar.training.resume import RunFolder
+from deblur_avatar.training.schedule import PAPER_ITERATIONS, ScheduleParams
+
+PARAMS = Path("params.yaml")
+SCENE = "studio"
+AVATARS = {"lean": "lean", "agnostic": "paper", "paper": "paper"}  # of methods
+SCHEDULES = {192: "medium", 512: "large", 1024: "huge"}  # by size
+WITHIN_DB = 0.2
+VIEWS = 12  # that each avatar is scored on
+MOMENTS = 12  # at which avatars are kept
+BESIDE = ScheduleParams(
+    warmup=40, trajectory=100, fusion=200, gaussians=6000, image_height=192, levels=()
+)
+CPU = torch.device("cpu")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An avatar on the way, and what it had taken."""
+
+    seconds: float
+    processor_seconds: float
+    avatar: Avatar
+    motion: Motion
+
+
+def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
+    """The scene at one size, filmed once and kept in a folder."""
+    place = folder / f"{SCENE}_{size}"
+    if not (place / "reference").exists():
+        body = build_body(load_params(PARAMS, "bodies.anny", BodySource))
+        source = load_params(PARAMS, f"scenes.{SCENE}.clip", ClipParams)
+        smaller = {"test_cameras": 4, "test_stride": 16, "samples_per_axis": 2}
+        source = source.model_copy(update={"image_size": size, **smaller})
+        generator = torch.Generator().manual_seed(run.derive_seed(0, "clip", SCENE))
+        clip, reference = load_clip(source, body, detect=detect_with_mediapipe, generator=generator)
+        blurred = blur(clip, load_params(PARAMS, f"scenes.{SCENE}.blur", BlurParams))
+        params = load_params(PARAMS, f"scenes.{SCENE}.preprocess", PreprocessParams)
+        seen = preprocess(
+            blurred, body, params, image_height=size, detect=detect_with_mediapipe
+        ).blurred
+        seen.save(place / "observations")
+        reference.save(place / "reference")
+    return Observations.load(place / "observations"), Reference.load(place / "reference")
+
+
+def fitted(
+    observations: Observations, method: str, schedule: ScheduleParams, moments: frozenset[int]
+) -> list[Kept]:
+    """Fit one method, and keep avatars after some iterations and at the end."""
+    recipe = load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams)
+    params = load_params(PARAMS, f"methods.{method}", MethodParams)
+    clocks: dict[int, tuple[float, float]] = {}
+    begin = time.perf_counter(), time.process_time()
+
+    def watch(iteration: int, terms: Mapping[str, float]) -> None:
+        clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
+
+    with TemporaryDirectory() as there:
+        generator = torch.Generator().manual_seed(0)
+        common = {"device": CPU, "generator": generator, "report": watch}
+
+        def folder(stage: str) -> RunFolder:
+            path = Path(there) / stage
+            path.mkdir()
+            return RunFolder(path, "time_to_quality", moments)
+
+        avatar, checkpoint, _ = warm_up(
+            observations, recipe, schedule, folder=folder("warmup"), **common
+        )
+        avatar, motion, checkpoint, _ = fit_trajectory(
+            observations, avatar, checkpoint, recipe, params.trajectory, schedule,
+            folder=folder("trajectory"), **common,
+        )  # fmt: skip
+        avatar, motion, _ = fuse(
+            observations, avatar, motion, checkpoint, recipe, params.trajectory.motion,
+            params.fusion, schedule, folder=folder("fusion"), **common,
+        )  # fmt: skip
+        kept = [
+            Kept(
+                *clocks[int(path.name)], Avatar.load(path / "avatar"), Motion.load(path / "motion")
+            )
+            for path in sorted(Path(there).glob("*/snapshots/*"), key=lambda path: path.name)
+        ]
+    return [*kept, Kept(*clocks[schedule.fusion], avatar, motion)]
+
+
+def psnr_seen(observations: Observations, reference: Reference, kept: Kept) -> float:
+    """PSNR of novel views over the surface that the training camera saw, dB."""
+    views = [view for view in truth_views(observations, reference) if not view.novel_pose]
+    model = avatar_from_artifact(kept.avatar, observations.body, CPU)
+    scores = mean_scores(
+        [
+            compare(
+                model, observations, reference, view, pose_of_view(observations, kept.motion, view)
+            )
+            for view in evenly_spaced(views, VIEWS)
+        ]
+    )
+    assert scores is not None
+    value = scores["psnr_seen"]
+    assert value is not None
+    return value
+
+
+def row_of(method: str, size: int, folder: Path, references: Mapping[str, float]) -> dict[str, Any]:
+    """Fit one method at one size, and score it on the way."""
+    schedule = load_params(PARAMS, f"schedules.{SCHEDULES[size]}", ScheduleParams)
+    moments = frozenset(round(schedule.fusion * (i + 1) / MOMENTS) for i in range(MOMENTS - 1))
+    observations, reference = filmed(size, folder)
+    kept = fitted(observations, method, schedule, moments)
+    scores = [psnr_seen(observations, reference, one) for one in kept]
+    wanted = references.get(f"{SCENE}-{size}-{method}")
+    good = [
+        one
+        for one, score in zip(kept, scores, strict=True)
+        if wanted is not None and score >= wanted - WITHIN_DB
+    ]
+    return {
+        "scene": SCENE,
+        "size": size,
+        "gaussians": len(kept[-1].avatar.means),
+        "method": method,
+        "iterations": schedule.fusion,
+        "seconds_to_within_0.2_db": good[0].seconds if good else None,
+        "processor_seconds_to_within_0.2_db": good[0].processor_seconds if good else None,
+        "seconds": kept[-1].seconds,
+        "processor_seconds": kept[-1].processor_seconds,
+        "final_psnr_seen": scores[-1],
+        "reference_psnr_seen": wanted,
+        "curve": [[one.seconds, score] for one, score in zip(kept, scores, strict=True)],
+    }
+
+
+def reference_of(method: str, size: int, folder: Path) -> float:
+    """What 15,000 iterations without levels reach, dB."""
+    schedule = load_params(PARAMS, f"schedules.{SCHEDULES[size]}", ScheduleParams)
+    ends = {"warmup": 3000, "trajectory": 7000, "fusion": PAPER_ITERATIONS}
+    whole = schedule.model_copy(update={**ends, "levels": ()})
+    observations, reference = filmed(size, folder)
+    return psnr_seen(observations, reference, fitted(observations, method, whole, frozenset())[-1])
+
+
+def _fit_for_a_while(folder: Path) -> float:
+    torch.set_num_threads(1)
+    observations, _ = filmed(192, folder)
+    return fitted(observations, "lean", BESIDE, frozenset())[-1].seconds
+
+
+def beside_another(folder: Path) -> float:
+    """A fit's time beside a second one on the same cores, against twice its time alone."""
+    alone = _fit_for_a_while(folder)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        both = pool.map(_fit_for_a_while, [folder, folder])
+    return max(both) / (2 * alone)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure, print, and write."""
+    torch.set_num_threads(1)
+    path: Path = arguments.references
+    references: dict[str, float] = json.loads(path.read_text()) if path.exists() else {}
+    if arguments.reference:
+        for size in arguments.sizes:
+            for method in arguments.methods:
+                value = reference_of(method, size, arguments.folder)
+                references[f"{SCENE}-{size}-{method}"] = value
+                run.write_json(path, dict(sorted(references.items())))
+        return
+    record: dict[str, Any] = {"machine": machine(0.0), "rows": [], "beside_another": None}
+    for size in arguments.sizes:
+        for method in arguments.methods:
+            record["rows"].append(row_of(method, size, arguments.folder, references))
+            print(json.dumps(record["rows"][-1]), flush=True)
+    if arguments.beside:
+        record["beside_another"] = beside_another(arguments.folder)
+    if arguments.json:
+        run.write_json(arguments.json, record)
+    print(json.dumps(record, indent=1))
+
+
+def _arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, help="write the record to this file")
+    parser.add_argument("--sizes", type=int, nargs="+", choices=SCHEDULES, default=[192, 512])
+    parser.add_argument("--methods", nargs="+", choices=AVATARS, default=["lean"])
+    parser.add_argument("--reference", action="store_true", help="run 15,000 iterations instead")
+    parser.add_argument("--beside", action="store_true", help="measure two fits at once, too")
+    parser.add_argument(
+        "--references",
+        type=Path,
+        default=Path("benchmarks/results/time_to_quality_references.json"),
+    )
+    parser.add_argument(
+        "--folder", type=Path, default=Path("data/time_to_quality"), help="where films are kept"
+    )
+    return parser.parse_args(words)
+
+
+if __name__ == "__main__":
+    main(_arguments())
