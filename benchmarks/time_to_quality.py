@@ -29,7 +29,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.bodies.registry import BodySource
+from deblur_avatar.bodies.registry import BodyParams
 from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
@@ -74,7 +74,7 @@ def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
     """The scene at one size, filmed once and kept in a folder."""
     place = folder / f"{SCENE}_{size}"
     if not (place / "reference").exists():
-        body = build_body(load_params(PARAMS, "bodies.anny", BodySource))
+        body = build_body(load_params(PARAMS, "bodies.anny", BodyParams))
         source = load_params(PARAMS, f"scenes.{SCENE}.clip", ClipParams)
         smaller = {"test_cameras": 4, "test_stride": 16, "samples_per_axis": 2}
         source = source.model_copy(update={"image_size": size, **smaller})

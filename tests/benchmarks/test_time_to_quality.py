@@ -1,0 +1,64 @@
+"""Tests of the benchmark of time to quality: what it keeps, and when it calls a fit good."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import time_to_quality as module
+from benchmarks.time_to_quality import Kept, fitted, row_of
+from deblur_avatar.training.schedule import ScheduleParams
+
+ROOT = Path(__file__).parents[2]
+SCHEDULE = ScheduleParams(
+    warmup=4, trajectory=8, fusion=12, gaussians=60, image_height=24, levels=()
+)
+
+
+@pytest.fixture(autouse=True)
+def _in_the_repository(monkeypatch):
+    monkeypatch.chdir(ROOT)
+
+
+def test_avatars_are_kept_on_the_way_with_what_they_took(filmed):
+    kept = fitted(filmed, "lean", SCHEDULE, frozenset({2, 6, 10}))
+    assert [one.avatar.iteration for one in kept] == [2, 6, 10, 12]
+    seconds = [one.seconds for one in kept]
+    assert seconds == sorted(seconds)
+    assert seconds[0] > 0
+    assert all(one.processor_seconds > 0 for one in kept)
+
+
+def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkeypatch, filmed):
+    kept = fitted(filmed, "lean", SCHEDULE, frozenset({6}))
+    moments = [Kept(float(s), 2.0 * s, kept[0].avatar, kept[0].motion) for s in (1, 2, 3)]
+    scores = iter([15.0, 15.9, 16.2])
+    monkeypatch.setattr(module, "filmed", lambda size, folder: (filmed, None))
+    monkeypatch.setattr(module, "fitted", lambda *_: moments)
+    monkeypatch.setattr(module, "psnr_seen", lambda *_: next(scores))
+    row = row_of("lean", 512, Path(), {"studio-512-lean": 16.05})
+    assert row["seconds_to_within_0.2_db"] == 2.0
+    assert row["processor_seconds_to_within_0.2_db"] == 4.0
+    assert row["curve"] == [[1.0, 15.0], [2.0, 15.9], [3.0, 16.2]]
+    assert row["final_psnr_seen"] == 16.2
+    scores = iter([15.0, 15.9, 16.2])
+    far = row_of("lean", 512, Path(), {"studio-512-lean": 18.0})
+    assert far["seconds_to_within_0.2_db"] is None
+    scores = iter([15.0, 15.9, 16.2])
+    unknown = row_of("lean", 512, Path(), {})
+    assert (unknown["reference_psnr_seen"], unknown["seconds_to_within_0.2_db"]) == (None, None)
+
+
+def test_sizes_have_schedules_of_their_height():
+    for size, name in module.SCHEDULES.items():
+        schedule = module.load_params(module.PARAMS, f"schedules.{name}", ScheduleParams)
+        assert schedule.image_height == size
+
+
+def test_a_record_names_its_machine_and_rows():
+    for path in (ROOT / "benchmarks/results").glob("time_to_quality_*cores*.json"):
+        record = json.loads(path.read_text())
+        assert record["machine"]["cpu"]
+        for row in record["rows"]:
+            assert row["curve"]
+            assert row["curve"][-1][1] == row["final_psnr_seen"]
