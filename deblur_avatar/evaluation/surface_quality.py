@@ -28,7 +28,7 @@ def surface_quality(
 
     Args:
         model: fitted.
-        observations: whose training frames lend the turntable their poses.
+        observations: of whose training frames the turntable takes poses.
         motion: fitted.
 
     Returns:

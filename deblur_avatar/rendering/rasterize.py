@@ -69,8 +69,7 @@ def rasterize(
         background: what is seen where nothing covers; black if None.
         average: return the mean of the B pictures instead; the fast backends never hold all B.
         depth: also accumulate depth.
-        eps2d: low-pass, added to both variances of a projected Gaussian, px^2; `eps2d_of` says
-            which one makes a smaller picture the area average of a larger one.
+        eps2d: low-pass, added to both variances of a projected Gaussian, px^2 (`eps2d_of`).
         backend: one of BACKENDS. If None, the environment variable DEBLUR_AVATAR_RASTERIZER
             decides, then the device and dtype of the tensors.
 
