@@ -258,7 +258,7 @@ def _with_method(
         "start": 0.0,
         "seconds": 8.0,
         "fps": 24.0,
-        "image_size": 384,
+        "image_size": 512,
         "turns": 1.0,
         "travel": 0.0,
         "margin": 0.06,
