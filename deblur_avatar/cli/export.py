@@ -13,7 +13,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
@@ -89,7 +89,7 @@ def run(asked: argparse.Namespace) -> int:
 
 def _exporter(kind: str, given: Mapping[str, Any]) -> Exporter:
     """The exporter of a format; an option that is not given, or None, is as in `DEFAULTS`."""
-    known = EXPORTERS[kind].__annotations__
+    known = get_type_hints(EXPORTERS[kind])
     options = {name: value for name, value in DEFAULTS.items() if name in known}
     options |= {name: value for name, value in given.items() if value is not None}
     return parse(ExportParams, {"format": kind, **options}, "export")
