@@ -279,7 +279,7 @@ def example(kind: type[Artifact]) -> Artifact:
         },
         "Motion": {
             "kind": "clip", "u": torch.tensor([0.0, 1.0]), "timestamps": _times(),
-            "counts": torch.tensor([2, 2, 2]), "shutter": 0.01,
+            "num_samples": torch.tensor([2, 2, 2]), "shutter": 0.01,
             "global_orient": torch.zeros(3, 2, 3), "body_pose": torch.zeros(3, 2, 1, 3),
             "transl": torch.zeros(3, 2, 3), "centre": _poses(), "parameters": {"a": torch.ones(2)},
         },

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from deblur_avatar.rendering import cuda
+from deblur_avatar.rendering.conventions import EPS2D
 from deblur_avatar.rendering.covariances import upper_triangles
 from deblur_avatar.rendering.rasterize import rasterize
 
@@ -33,6 +34,7 @@ def stand_in(
         width,
         height,
         depth=True,
+        eps2d=options["eps2d"],
         backend="reference",
     )
     pictures = found.image
@@ -52,7 +54,7 @@ def on_the_cpu(monkeypatch):
     monkeypatch.setattr(cuda, "_check_place", lambda means: None)
 
 
-def through_adapter(scene):
+def through_adapter(scene, eps2d=EPS2D):
     tensors = {name: t.requires_grad_() for name, t in scene._tensors(F64).items()}
     background = tensors.pop("background", None)
     found = cuda.rasterize(
@@ -64,6 +66,7 @@ def through_adapter(scene):
         background=background,
         average=scene.average,
         depth=scene.depth,
+        eps2d=eps2d,
     )
     return found, tensors | ({"background": background} if background is not None else {})
 
@@ -95,6 +98,12 @@ def test_covariances_of_all_poses_may_be_shared(make_scene, on_the_cpu):
     found.image.sum().backward()
     assert tensors["covars"].grad.shape == scene.covars.shape
     torch.testing.assert_close(found.image, scene.rasterize("reference").image)
+
+
+def test_another_low_pass_is_handed_over(make_scene, on_the_cpu):
+    scene = make_scene()
+    found, _ = through_adapter(scene, eps2d=2.0)
+    assert (found.image - scene.rasterize("reference").image).abs().max() > 0.01
 
 
 def test_screen_statistics_hold_nothing_where_nothing_is_seen(make_scene, on_the_cpu):
