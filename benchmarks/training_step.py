@@ -104,6 +104,7 @@ def observations(size: int) -> Observations:
         frames=(images * 255).round().to(torch.uint8),
         mattes=(alphas * 255).round().to(torch.uint8),
         comparable=None,
+        backgrounds=None,
         cameras=cameras,
         crops=torch.tensor([[0.0, 0, size, size]]),
         train_camera=0,

@@ -101,6 +101,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
             frames=(images * 255).round().to(torch.uint8),
             mattes=(alphas * 255).round().to(torch.uint8),
             comparable=None,
+            backgrounds=None,
             cameras=cameras,
             crops=torch.tensor([[0.0, 0, size, size]]),
             train_camera=0,

@@ -4,6 +4,7 @@ from types import ModuleType
 
 import pytest
 
+from deblur_avatar.rendering import native_build
 from deblur_avatar.rendering.native_build import BuildError
 
 
@@ -13,7 +14,7 @@ def check_a_warning_without_a_compiler(module: ModuleType, monkeypatch: pytest.M
     def fail(*source_and_defines: object) -> None:
         raise BuildError("no C++ compiler")
 
-    monkeypatch.setattr(module, "load_library", fail)
+    monkeypatch.setattr(native_build, "load_library", fail)
     with pytest.warns(UserWarning, match="plain torch, slowly: no C"):
         library = module._library.__wrapped__()
     assert library is None

@@ -1,7 +1,8 @@
 """Training data: one camera's frames, soft mattes and poses.
 
-Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B shape numbers,
-P body vertices, T triangles, N Gaussians, S instants inside one exposure.
+Dimensions. F frames, B backgrounds (one of a still camera, or one a frame), C cameras, R recorded
+cameras, V test views, J joints, P body vertices, T triangles, N Gaussians,
+S instants inside one exposure.
 """
 
 from collections.abc import Mapping
@@ -24,7 +25,8 @@ from deblur_avatar.geometry.cameras import Camera
 class Observations(Artifact):
     """All that fitting sees: one camera's frames, soft mattes and poses. Made by `preprocess`.
 
-    Frames are undistorted, cropped to the person and scaled: crop `crops[c]` (x, y, width, height
+    Frames show the person in front of `backgrounds`, or on black where there are none. They are
+    undistorted, cropped to the person and scaled: crop `crops[c]` (x, y, width, height
     in pixels of the clip) of camera c was scaled to `cameras.sizes[c]`. All frames of the clip are
     here, so that poses are known throughout; only `train` are fitted and `validation` are set
     aside.
@@ -34,7 +36,7 @@ class Observations(Artifact):
     training frame.
     """
 
-    schema: ClassVar[str] = "observations/2"
+    schema: ClassVar[str] = "observations/3"
     names_on_disk: ClassVar[Mapping[str, str]] = {
         "averaging_space": "light",
         "occluded_fraction": "hidden",
@@ -43,6 +45,7 @@ class Observations(Artifact):
     frames: UInt8[Tensor, "F H W 3"]
     mattes: UInt8[Tensor, "F H W"]
     comparable: UInt8[Tensor, "F H W"] | None  # 255 where colours mean something; None: everywhere
+    backgrounds: UInt8[Tensor, "B H W 3"] | None  # sRGB; None: black
     cameras: Cameras  # all cameras of the source, without distortion
     crops: Float32[Tensor, "C 4"]
     train_camera: int
@@ -62,6 +65,12 @@ class Observations(Artifact):
     def camera(self) -> Camera:
         """The training camera."""
         return self.cameras.camera(self.train_camera)
+
+    def background(self, position: int) -> UInt8[Tensor, "H W 3"] | None:
+        """What is behind the person in one frame, sRGB; None is black."""
+        if self.backgrounds is None:
+            return None
+        return self.backgrounds[0 if len(self.backgrounds) == 1 else position]
 
     def comparable_part(
         self, image: Float32[Tensor, "H W 3"], position: int
@@ -84,3 +93,8 @@ class Observations(Artifact):
             raise ValueError("no training frame; check masks and the blur window")
         if set(self.train) & set(self.validation):
             raise ValueError("train and validation must not share frames")
+        held = 1 if self.backgrounds is None else len(self.backgrounds)
+        if held not in (1, len(self.frames)):
+            raise ValueError(
+                f"backgrounds: {held} pictures; want one, or one a frame ({len(self.frames)})"
+            )

@@ -9,7 +9,6 @@ term: in plain torch this is many short calls over strided lists.
 
 import ctypes
 import math
-import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -20,8 +19,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from deblur_avatar.rendering.native_build import (
-    BuildError,
-    load_library,
+    library_or_none,
     pointers,
 )
 
@@ -104,10 +102,8 @@ class _Isometry(torch.autograd.Function):
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    try:
-        library = load_library(KERNEL)
-    except BuildError as error:
-        warnings.warn(f"Isometry is found in plain torch, slowly: {error}", stacklevel=2)
+    library = library_or_none(KERNEL, "Isometry is found")
+    if library is None:
         return None
     library.isometry.argtypes = [*[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 6]
     library.isometry.restype = ctypes.c_int

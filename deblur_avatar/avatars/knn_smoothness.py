@@ -5,7 +5,6 @@ in plain torch this is many short calls over gathered rows.
 """
 
 import ctypes
-import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -16,8 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from deblur_avatar.rendering.native_build import (
-    BuildError,
-    load_library,
+    library_or_none,
     pointers,
 )
 from deblur_avatar.run import kernel_threads
@@ -85,10 +83,8 @@ class _Smoothness(torch.autograd.Function):
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    try:
-        library = load_library(KERNEL)
-    except BuildError as error:
-        warnings.warn(f"Smoothness is found in plain torch, slowly: {error}", stacklevel=2)
+    library = library_or_none(KERNEL, "Smoothness is found")
+    if library is None:
         return None
     sizes = [*[ctypes.c_int64] * 3, ctypes.c_int]
     library.knn_smoothness.argtypes = [*sizes, *[ctypes.c_void_p] * 4]

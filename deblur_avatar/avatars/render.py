@@ -4,11 +4,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.imaging.exposure import encode
+from deblur_avatar.imaging.exposure import decode, encode, over
 
 
 def render_avatar(
@@ -51,3 +52,25 @@ def render_avatar(
             )
     image = torch.cat([one.image for one in rendered])
     return encode(image, model.averaging_space), torch.cat([one.alpha for one in rendered])
+
+
+def as_filmed(
+    observations: Observations,
+    position: int,
+    image: Float[Tensor, "H W 3"],
+    alpha: Float[Tensor, "H W"],
+) -> Float[Tensor, "H W 3"]:
+    """Composite a training camera's render over what was behind the person in one frame.
+
+    Args:
+        observations: with the background, if it is known.
+        position: of the frame.
+        image: on black, sRGB in [0, 1].
+        alpha: coverage.
+    """
+    picture = observations.background(position)
+    if picture is None:
+        return image
+    space = observations.averaging_space
+    behind = decode(picture.to(image) / 255, space)
+    return encode(over(decode(image, space), alpha, behind), space)

@@ -20,7 +20,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
-from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
 from deblur_avatar.evaluation.reblur import reblurred
@@ -133,7 +133,8 @@ def explained_share(
     if not float(weights.sum()):
         return None
     mean = (weights * frames).sum((0, 1, 2)) / weights.sum()
-    renders = torch.stack([look.image for look in looks])
+    pairs = zip(positions, looks, strict=True)
+    renders = torch.stack([as_filmed(observations, p, look.image, look.alpha) for p, look in pairs])
     left = (weights * (renders - frames).square()).sum()
     return float(1 - left / (weights * (frames - mean).square()).sum().clamp(min=1e-9))
 

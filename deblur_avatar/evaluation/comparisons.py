@@ -18,7 +18,7 @@ from deblur_avatar.evaluation.metrics import ImagePair, scores
 from deblur_avatar.evaluation.registration import registered
 from deblur_avatar.evaluation.truth_views import TruthView
 from deblur_avatar.geometry.cameras import Camera
-from deblur_avatar.imaging.color import srgb_to_linear
+from deblur_avatar.imaging.exposure import decode
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def true_poses(observations: Observations, reference: Reference) -> Poses | None
 
 def _background(reference: Reference, model: AvatarModel) -> Float[Tensor, " 3"]:
     color = torch.tensor(reference.background)
-    light = srgb_to_linear(color) if model.averaging_space == "linear" else color
+    light = decode(color, model.averaging_space)
     return light.to(model.betas)
 
 

@@ -16,7 +16,7 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.evaluation.reblur import poses_of_exposure
 from deblur_avatar.imaging.metrics import psnr
 
@@ -65,11 +65,12 @@ def reconstruct_held_out(
 def _render(
     model: AvatarModel, observations: Observations, poses: Poses, position: int, *, average: bool
 ) -> UInt8[Tensor, "H W 3"]:
-    image, _ = render_avatar(
+    image, alpha = render_avatar(
         model,
         poses,
         observations.camera,
         frame=min(observations.train, key=lambda index: abs(index - position)),
         average=average,
     )
-    return (image[0].cpu().clamp(0, 1) * 255).round().to(torch.uint8)
+    shown = as_filmed(observations, position, image[0].cpu(), alpha[0].cpu())
+    return (shown.clamp(0, 1) * 255).round().to(torch.uint8)

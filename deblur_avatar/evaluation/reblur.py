@@ -14,7 +14,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
-from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.instants import between, exposure_of, joints_apart
 from deblur_avatar.imaging.metrics import psnr
@@ -43,7 +43,7 @@ def mean_reblur_psnr(
     """PSNR of averaged renders against the frames at some positions, dB; None for no position."""
 
     def score(position: int) -> float:
-        image, _ = reblurred(model, observations, motion, position)
+        image = as_filmed(observations, position, *reblurred(model, observations, motion, position))
         frame = observations.frames[position].float() / 255
         pair = [observations.comparable_part(p, position) for p in (image, frame)]
         return float(psnr(pair[0][None], pair[1][None]))
@@ -54,7 +54,7 @@ def mean_reblur_psnr(
 def reblurred(
     model: AvatarModel, observations: Observations, motion: Motion, position: int
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
-    """The averaged render of one exposure, sRGB in [0, 1], and its coverage."""
+    """The averaged render of one exposure on black, sRGB in [0, 1], and its coverage."""
     nearest = min(observations.train, key=lambda index: abs(index - position))
     image, alpha = render_avatar(
         model,

@@ -145,10 +145,21 @@ def saturated_share(observations: Observations) -> float | None:
 
 
 def background_light(observations: Observations) -> float | None:
-    """Mean light where mattes say that nobody is, of 255: what no avatar of a person explains."""
+    """Mean light where mattes say that nobody is, of 255: what no avatar of a person explains.
+
+    Where the background is known, what differs from it.
+    """
     outside = (observations.mattes == 0) & (observations.weights > 0)[:, None, None]
-    pixels = observations.comparable_frames()[outside]
-    return float(pixels.float().mean()) if len(pixels) else None
+    means = []
+    for position, frame in enumerate(observations.comparable_frames()):
+        pixels = frame.float()
+        behind = observations.background(position)
+        if behind is not None:
+            known = behind.float()
+            pixels = observations.comparable_part((pixels - known).abs(), position)
+        means.append(pixels[outside[position]])
+    light = torch.cat(means)
+    return float(light.mean()) if len(light) else None
 
 
 def comparable_share(observations: Observations) -> float:

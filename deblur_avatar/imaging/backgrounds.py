@@ -1,4 +1,4 @@
-"""Background models: what is taken away behind the person, for each kind of camera.
+"""Background models: what is behind the person, for each kind of camera.
 
 `none`: frames show the person on black already. `median`: one plate of a camera that stands still.
 `aligned`: a plate a frame, of a camera that drifts, turns or zooms. `matte`: no plate; a pixel is
@@ -25,12 +25,13 @@ class Background(NamedTuple):
     """What is known of the background of one camera's frames."""
 
     kind: BackgroundKind
-    plates: list[Plate] | None  # one a frame; None where nothing is taken away
+    plates: list[Plate] | None  # one a frame; None where frames show the person on black
 
     @property
-    def has_gaps(self) -> bool:
-        """Whether plates are missing where a matte ends, so that colours there mean nothing."""
-        return self.kind in ("aligned", "matte")
+    def distinct(self) -> list[Plate]:
+        """The plates, once each."""
+        plates = self.plates or []
+        return plates[:1] if self.kind == "median" else plates
 
 
 def background_of(

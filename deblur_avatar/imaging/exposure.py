@@ -61,6 +61,29 @@ def encode(
     return linear_to_srgb(image.clamp(0, 1)) if averaging_space == "linear" else image.clamp(0, 1)
 
 
+def decode(
+    image: Float[Tensor, "*image"], averaging_space: AveragingSpace | str
+) -> Float[Tensor, "*image"]:
+    """Turn sRGB values in [0, 1] into light of the space in which it is averaged."""
+    return srgb_to_linear(image) if averaging_space == "linear" else image
+
+
+def over(
+    image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W"], background: Float[Tensor, "H W 3"]
+) -> Float[Tensor, "H W 3"]:
+    """Composite over a background: the light that coverage lets through is added.
+
+    All in the space in which light is averaged, where the mean of composites is the composite of
+    means: of a background that stands still, an exposure's mean image and mean alpha are enough.
+
+    Args:
+        image: on black, premultiplied.
+        alpha: coverage.
+        background: what is behind.
+    """
+    return image + (1 - alpha)[..., None] * background
+
+
 def exposure_seconds(window: int, factor: int, fps: float) -> float:
     """How long the shutter is open when `window` sub-frames are averaged."""
     return window / (factor * fps)

@@ -1,8 +1,8 @@
-"""Matting: a person is lifted off a background that stands still, onto black.
+"""Matting: a person in front of a background that is known, or lifted off it onto black.
 
 Conventions. A picture is the person's light plus (1 - alpha) times the background's light, where
 alpha is the matte (coverage). `averaging_space` says in which space light adds up: `linear`, or
-sRGB values (as averaged by the paper). Pictures and mattes are 8 bits; the camera stands still.
+sRGB values (as averaged by the paper). Pictures and mattes are 8 bits.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,14 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
-from deblur_avatar.imaging.exposure import AveragingSpace
+from deblur_avatar.imaging.exposure import AveragingSpace, decode, encode
 
 BARE = 26  # matte, of 255: below it (10 %) a pixel is taken to show the background
 FULL = 230  # from it on (90 %) a pixel is taken to show nothing but the person
 BAND = 0.006  # of the picture's height: half the width of a mask's edge that is not to be trusted
 ENOUGH = 3  # frames that must show a pixel's background for it to be trusted
+NEAR = 0.015  # of the picture's height: so far from a mask the person may still be in the picture
+GLANCES = 5  # frames that tell the background where nobody ever is
 NOISE, DISTINCT = 8.0, 24.0  # codes from the plate: surely the background, surely something else
 NEIGHBOURHOOD = 5  # pixels over which a difference is averaged; leaks narrower than it stay shut
 
@@ -35,17 +36,33 @@ class Plate(NamedTuple):
 def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]) -> Plate:
     """Estimate the background: the (lower) median of the frames that are bare of the person.
 
-    It is known where the person is in some frame and at least `ENOUGH` frames are bare.
+    It is known where at least `ENOUGH` frames are bare. Far from the person's path a few frames are
+    enough to tell it.
     """
     bare = mattes < BARE
-    wanted = (mattes > 0).any(0) & (bare.sum(0) >= ENOUGH)
+    path = near_person((mattes > 0).any(0)[None])[0]
+    known = ~path | (bare.sum(0) >= ENOUGH)
+    some = torch.linspace(0, len(frames) - 1, min(GLANCES, len(frames))).round().long()
+    picture = frames[some].sort(dim=0).values[(len(some) - 1) // 2]
+    picture[path] = 0
+    wanted = path & known
     bare = bare[:, wanted]
     # Sorted behind all others, what is not bare does not move the median of the rest.
     values = torch.where(bare[..., None], frames[:, wanted], 255).sort(dim=0).values
     middle = ((bare.sum(0) - 1) // 2)[None, :, None].expand(1, -1, 3)
-    picture = torch.zeros_like(frames[0])
     picture[wanted] = values.gather(0, middle)[0]
-    return Plate(picture, wanted)
+    return Plate(picture, known)
+
+
+def near_person(masks: Bool[Tensor, "F H W"]) -> Bool[Tensor, "F H W"]:
+    """Masks, and as far around them as the person may be in the picture unseen by a segmenter."""
+    return _dilated(masks, round(NEAR * masks.shape[1]))
+
+
+def _dilated(masks: Bool[Tensor, "F H W"], radius: int) -> Bool[Tensor, "F H W"]:
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    dilated = [cv2.dilate(mask, kernel) for mask in masks.to(torch.uint8).numpy()]
+    return torch.from_numpy(np.stack(dilated)).bool()
 
 
 def trim_mattes(
@@ -96,27 +113,52 @@ def lift_person(
     return torch.stack([_lift(*triple, averaging_space) for triple in triples])
 
 
+class Scenery(NamedTuple):
+    """Frames of a person in front of plates, ready to be compared with renders in front of them."""
+
+    frames: UInt8[Tensor, "F H W 3"]  # as filmed near the person, elsewhere the plates themselves
+    comparable: UInt8[Tensor, "F H W"]  # 255 where colours mean something
+
+
+def scenery(
+    frames: UInt8[Tensor, "F H W 3"],
+    mattes: UInt8[Tensor, "F H W"],
+    pictures: UInt8[Tensor, "B H W 3"],
+    known: Bool[Tensor, "B H W"],
+) -> Scenery:
+    """Keep the background where it is known, so that no matte decides whose light a pixel is.
+
+    Away from the person nothing but the background is left: not her shadow, not a passer-by.
+    Inside of her, where the plate is not known, a frame stays as it was filmed.
+
+    Args:
+        frames: of one camera.
+        mattes: of the person; soft edges and blurred limbs need not be right.
+        pictures: plates, one for all frames or one each; black where not known.
+        known: where.
+    """
+    near = near_person(mattes > 0)
+    shown = torch.where(near[..., None], frames, pictures)
+    return Scenery(shown, comparable_pixels(mattes, known.expand_as(near)))
+
+
 def no_plate(matte: UInt8[Tensor, "H W"]) -> Plate:
     """The plate of a frame whose background is known nowhere."""
     return Plate(matte.new_zeros(*matte.shape, 3), torch.zeros_like(matte, dtype=torch.bool))
 
 
 def comparable_pixels(
-    mattes: UInt8[Tensor, "F H W"], plates: Sequence[Plate]
+    mattes: UInt8[Tensor, "F H W"], known: Bool[Tensor, "F H W"]
 ) -> UInt8[Tensor, "F H W"]:
-    """Where colours of lifted pictures can be compared: 255, elsewhere 0.
+    """Where colours can be compared: 255, elsewhere 0.
 
-    That is inside the person, outside of her, and in the band between where the plate is known.
-    Elsewhere in the band nobody knows how much of a pixel's light is the background's.
+    That is inside the person, outside of her, and in the band between where the background is
+    known. Elsewhere in the band nobody knows how much of a pixel's light is the background's.
     """
     radius = max(1, round(BAND * mattes.shape[1]))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    masks = []
-    for matte, plate in zip(mattes.numpy(), plates, strict=True):
-        inside = cv2.erode((matte >= FULL).astype(np.uint8), kernel) > 0
-        outside = cv2.dilate((matte >= BARE).astype(np.uint8), kernel) == 0
-        masks.append(inside | outside | plate.known.numpy())
-    return torch.from_numpy(np.stack(masks)).to(torch.uint8) * 255
+    inside = ~_dilated(mattes < FULL, radius)
+    outside = ~_dilated(mattes >= BARE, radius)
+    return (inside | outside | known).to(torch.uint8) * 255
 
 
 def _lift(
@@ -137,12 +179,10 @@ def _lift(
 
 
 def _to_light(codes: UInt8[Tensor, "P 3"], averaging_space: AveragingSpace) -> Float[Tensor, "P 3"]:
-    srgb = codes.float() / 255
-    return srgb_to_linear(srgb) if averaging_space == "linear" else srgb
+    return decode(codes.float() / 255, averaging_space)
 
 
 def _from_light(
     values: Float[Tensor, "P 3"], averaging_space: AveragingSpace
 ) -> UInt8[Tensor, "P 3"]:
-    srgb = linear_to_srgb(values) if averaging_space == "linear" else values
-    return (srgb * 255).round().clamp(0, 255).to(torch.uint8)
+    return (encode(values, averaging_space) * 255).round().to(torch.uint8)

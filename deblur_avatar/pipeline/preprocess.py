@@ -6,9 +6,10 @@ with the same poses (for `oracle`), and the sharp frames with exact poses (for `
 
 import logging
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -40,6 +41,8 @@ from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
 from deblur_avatar.imaging.matting import (
     comparable_pixels,
     lift_person,
+    no_plate,
+    scenery,
     trim_mattes,
 )
 from deblur_avatar.imaging.resampling import (
@@ -55,7 +58,7 @@ class PreprocessParams(Params):
     poses: Literal["given", "estimated"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
-    background: BackgroundKind  # taken away behind a soft matte
+    background: BackgroundKind  # how it is known what is behind the person
     depth: Literal[
         "known", "unknown"
     ]  # known: the poses come from several views, say, and tell how
@@ -131,24 +134,58 @@ def preprocess(
     def cut(images: Tensor) -> Tensor:
         return crop_and_scale(images, crops[clip.train_camera], (width, height))
 
-    def cut_out(frames: Tensor, mattes: Tensor) -> tuple[Tensor, Tensor]:
-        if background.plates is not None:
-            space = cast(AveragingSpace, clip.averaging_space)
-            frames = lift_person(frames, mattes, background.plates, space)
-        return cut(frames), cut(mattes)
+    def pictures(frames: Tensor, mattes: Tensor) -> _Pictures:
+        return _pictures(frames, mattes, background, cut, clip.averaging_space)
 
-    comparable = None
-    if background.plates is not None and background.has_gaps:
-        comparable = cut(comparable_pixels(mattes, background.plates))
-    pictures = (*cut_out(clip.frames[row], mattes), comparable)
-    blurred = _observations(clip, body, params, track, shown, pictures, crops, cameras)
+    taken = pictures(clip.frames[row], mattes)
+    blurred = _observations(clip, body, params, track, shown, taken, crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
-        frames, cut_mattes = cut_out(clip.sharp_frames, sharp_mattes)
-        sharp = replace(blurred, frames=frames, mattes=cut_mattes, exposure=0.0)
+        taken = pictures(clip.sharp_frames, sharp_mattes)
+        sharp = replace(blurred, exposure=0.0, **taken._asdict())
         if clip.exact is not None:
             exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
     return Preprocessed(blurred, sharp, exact, _metrics(blurred, shown, track))
+
+
+class _Pictures(NamedTuple):
+    """Those fields of observations that are pictures of the training camera."""
+
+    frames: UInt8[Tensor, "F H W 3"]
+    mattes: UInt8[Tensor, "F H W"]
+    comparable: UInt8[Tensor, "F H W"] | None
+    backgrounds: UInt8[Tensor, "B H W 3"] | None
+
+
+def _pictures(
+    frames: UInt8[Tensor, "F h w 3"],
+    mattes: UInt8[Tensor, "F h w"],
+    background: Background,
+    cut: Callable[[Tensor], Tensor],
+    averaging_space: str,
+) -> _Pictures:
+    """The person in front of what is known to be behind her, or on black.
+
+    Args:
+        frames: as the camera took them.
+        mattes: of the person.
+        background: of this camera.
+        cut: crops pictures to the person's path and scales them.
+        averaging_space: the space in which light adds up.
+    """
+    small = cut(mattes)
+    if background.kind == "none":
+        return _Pictures(cut(frames), small, None, None)
+    if background.kind == "matte":
+        plates = [no_plate(matte) for matte in mattes]
+        lifted = lift_person(frames, mattes, plates, cast(AveragingSpace, averaging_space))
+        nowhere = torch.zeros_like(small, dtype=torch.bool)
+        return _Pictures(cut(lifted), small, comparable_pixels(small, nowhere), None)
+    plates = background.distinct
+    behind = cut(torch.stack([plate.picture for plate in plates]))
+    known = cut(torch.stack([plate.known for plate in plates]).to(torch.uint8) * 255) == 255
+    shown, comparable = scenery(cut(frames), small, behind, known)
+    return _Pictures(shown, small, None if bool(comparable.all()) else comparable, behind)
 
 
 @dataclass(frozen=True)
@@ -167,16 +204,14 @@ def _observations(
     params: PreprocessParams,
     track: _Track,
     shown: Bool[Tensor, " F"],
-    cut: tuple[UInt8[Tensor, "F H W 3"], UInt8[Tensor, "F H W"], UInt8[Tensor, "F H W"] | None],
+    pictures: _Pictures,
     crops: list[Crop],
     cameras: Cameras,
 ) -> Observations:
-    """The blurred frames and mattes that were cut out, with all that is known of them."""
+    """The blurred pictures with all that is known of them."""
     train, validation = _split(clip, shown, params.validation_stride)
     return Observations(
-        frames=cut[0],
-        mattes=cut[1],
-        comparable=cut[2],
+        **pictures._asdict(),
         cameras=cameras,
         crops=torch.tensor(crops, dtype=torch.float32),
         train_camera=clip.train_camera,

@@ -13,7 +13,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.config.section import Params
 from deblur_avatar.motion.kinds import KINDS, AnyMotionParams
 from deblur_avatar.motion.trajectory import Instants, MotionParams, Render, Trajectory
@@ -93,13 +93,13 @@ def exposure_renderer(model: AvatarModel, observations: Observations) -> Render:
     """Render an avatar's average over some instants of a frame, as the training camera sees it."""
 
     def render(frame: int, instants: Instants) -> Float[Tensor, "H W 3"]:
-        image, _ = render_avatar(
+        image, alpha = render_avatar(
             model,
             instants.poses(model.betas.detach()),
             observations.camera,
             frame=frame,
             average=True,
         )
-        return image[0].cpu()
+        return as_filmed(observations, frame, image[0].cpu(), alpha[0].cpu())
 
     return render

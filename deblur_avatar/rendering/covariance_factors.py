@@ -9,7 +9,6 @@ take as long as the rasterization of one instant.
 """
 
 import ctypes
-import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -21,8 +20,7 @@ from torch.autograd.function import once_differentiable
 
 from deblur_avatar.geometry.rotations import quat_multiply, quat_to_matrix
 from deblur_avatar.rendering.native_build import (
-    BuildError,
-    load_library,
+    library_or_none,
     pointers,
 )
 from deblur_avatar.run import kernel_threads
@@ -123,10 +121,8 @@ def _call(name: str, count: int, *tensors: Tensor | None) -> None:
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    try:
-        library = load_library(KERNEL)
-    except BuildError as error:
-        warnings.warn(f"Gaussians are turned in plain torch, slowly: {error}", stacklevel=2)
+    library = library_or_none(KERNEL, "Gaussians are turned")
+    if library is None:
         return None
     tensors = {"factors": 4, "factors_backward": 7, "covariances": 2, "covariances_backward": 3}
     for name, count in tensors.items():

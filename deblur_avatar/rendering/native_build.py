@@ -14,6 +14,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -72,6 +73,21 @@ def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:
             # Some compilers come without OpenMP; one thread is better than none.
             _compile(source, compiler, flags, library)
     return ctypes.CDLL(str(library))
+
+
+def library_or_none(source: Path, what: str, defines: Sequence[str] = ()) -> ctypes.CDLL | None:
+    """The same, of a kernel that has a twin in plain torch: None and a warning if it cannot be had.
+
+    Args:
+        source: as above.
+        what: is done in plain torch then; begins the warning.
+        defines: as above.
+    """
+    try:
+        return load_library(source, defines)
+    except BuildError as error:
+        warnings.warn(f"{what} in plain torch, slowly: {error}", stacklevel=3)
+        return None
 
 
 def find_compiler() -> list[str]:

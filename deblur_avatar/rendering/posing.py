@@ -8,7 +8,6 @@ times the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
 """
 
 import ctypes
-import warnings
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -20,8 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from deblur_avatar.rendering.covariance_factors import covariances_reference
 from deblur_avatar.rendering.native_build import (
-    BuildError,
-    load_library,
+    library_or_none,
     pointers,
 )
 from deblur_avatar.run import kernel_threads
@@ -121,10 +119,8 @@ def _grouped(library: ctypes.CDLL, lbs_weights: Tensor) -> list[Tensor]:
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    try:
-        library = load_library(KERNEL)
-    except BuildError as error:
-        warnings.warn(f"Gaussians are posed in plain torch, slowly: {error}", stacklevel=2)
+    library = library_or_none(KERNEL, "Gaussians are posed")
+    if library is None:
         return None
     integers = {"group_by_joint": 2, "pose": 3, "pose_backward": 3}  # sizes, before the threads
     tensors = {"group_by_joint": 5, "pose": 9, "pose_backward": 14}

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.imaging.color import srgb_to_linear
+from deblur_avatar.imaging.exposure import decode
 from deblur_avatar.training.targets import Target
 
 # Not parameters: a gain settles in five steps, and no camera drifts by more.
@@ -37,8 +37,8 @@ class ExposureGains:
         return (self._log_gains[frame] - self._log_gains[known].mean()).exp()
 
     def observe(self, frame: int, render: Float[Tensor, "H W 3"], target: Target) -> None:
-        """Compare a frame with its render, which has no gain yet."""
-        seen = srgb_to_linear(target.image) if self._averaging_space == "linear" else target.image
+        """Compare a frame with its render over the background, which has no gain yet."""
+        seen = decode(target.image, self._averaging_space)
         inside = target.comparable_part(target.matte[..., None])
         ratio = (seen * inside).sum() / (render.detach() * inside).sum().clamp(min=1e-6)
         found = ratio.clamp(min=1e-6).log().clamp(-MAX_VALUE, MAX_VALUE)

@@ -4,6 +4,8 @@ Three walks: over the table of losses, over the avatar's regularisers, over the 
 A term whose weight is 0 is not computed.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -14,6 +16,7 @@ from deblur_avatar.motion.trajectory import Instants, MotionParams, Trajectory
 from deblur_avatar.training.losses import LOSSES, Comparison, Loss
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.picture_losses import KNOWN, has_kernel, picture_losses
+from deblur_avatar.training.supervision import Compared
 from deblur_avatar.training.targets import Target
 
 # Not a parameter: a unit. Of a picture that is cut to a person's path over a clip, she is so much.
@@ -53,13 +56,14 @@ class Objective:
         return next((name for name in names if name is not None), None)
 
     def pictures(
-        self, compared: list[tuple[float, Tensor]], alpha: Tensor, target: Target
+        self, compared: Sequence[Compared], alpha: Tensor, target: Target
     ) -> dict[str, Tensor]:
-        """How far pictures (with their shares) and coverage are from a frame and its matte."""
-        terms = self._known_to_kernel(compared, alpha, target)
+        """How far renders and coverage are from a frame and its matte."""
+        pictures = [(c.share, target.behind(c.image, c.alpha)) for c in compared]
+        terms = self._known_to_kernel(pictures, alpha, target)
         space = self._avatar.averaging_space
         rest = [name for name in self._losses if name not in terms]
-        shown = compared if rest else []
+        shown = pictures if rest else []
         images = [(share, target.comparable_part(encode(image, space))) for share, image in shown]
         for name in rest:
             row, compare = self._losses[name]
@@ -72,10 +76,10 @@ class Objective:
         return {name: terms[name] for name in self._losses}
 
     def _known_to_kernel(
-        self, compared: list[tuple[float, Tensor]], alpha: Tensor, target: Target
+        self, pictures: list[tuple[float, Tensor]], alpha: Tensor, target: Target
     ) -> dict[str, Tensor]:
         """Those terms that come of one pass over a picture, if it alone is compared."""
-        if len(compared) > 1 or compared[0][0] != 1 or not has_kernel(compared[0][1], alpha):
+        if len(pictures) > 1 or pictures[0][0] != 1 or not has_kernel(pictures[0][1], alpha):
             return {}
         names = {
             compare: name
@@ -84,7 +88,7 @@ class Objective:
         }
         weights = {compare: self._weights[name] * target.weight for compare, name in names.items()}
         space = self._avatar.averaging_space
-        losses = picture_losses(compared[0][1], alpha, target, space, weights)
+        losses = picture_losses(pictures[0][1], alpha, target, space, weights)
         return {names[compare]: loss for compare, loss in losses.items()}
 
     def regularisers(self, rendering: Rendering, step: TrainingStep) -> dict[str, Tensor]:

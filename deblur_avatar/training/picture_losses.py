@@ -7,7 +7,6 @@ picture.
 
 import ctypes
 import math
-import warnings
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -20,8 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from deblur_avatar.imaging import color
 from deblur_avatar.rendering.native_build import (
-    BuildError,
-    load_library,
+    library_or_none,
     pointers,
 )
 from deblur_avatar.run import kernel_threads
@@ -121,10 +119,9 @@ def _library() -> ctypes.CDLL | None:
     constants = {"STRUCTURE_SCALES": STRUCTURE_SCALES} | {
         name: getattr(color, name) for name in ("LINEAR_KNEE", "SLOPE", "OFFSET", "EXPONENT")
     }
-    try:
-        library = load_library(KERNEL, [f"{name}={value}" for name, value in constants.items()])
-    except BuildError as error:
-        warnings.warn(f"Losses are found in plain torch, slowly: {error}", stacklevel=2)
+    defines = [f"{name}={value}" for name, value in constants.items()]
+    library = library_or_none(KERNEL, "Losses are found", defines)
+    if library is None:
         return None
     sizes = [*[ctypes.c_int64] * 2, *[ctypes.c_int] * 2]
     library.picture_losses.argtypes = [*sizes, *[ctypes.c_void_p] * 10]

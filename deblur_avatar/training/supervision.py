@@ -9,7 +9,7 @@ blend by the fusion network. Iterations are the paper's 15,000.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -25,7 +25,6 @@ from deblur_avatar.imaging.exposure import mean_of_instants, with_instant
 from deblur_avatar.motion.trajectory import Trajectory
 
 MaskName = Literal["mean", "union", "centre"]  # of `MASKS`
-Compared = list[tuple[float, Float[Tensor, "H W 3"]]]  # with their shares
 # From the render that the network looks at to the averaged one's share in each pixel.
 Blend = Callable[[Float[Tensor, "H W 3"]], Float[Tensor, "H W 1"]]
 
@@ -33,6 +32,14 @@ Blend = Callable[[Float[Tensor, "H W 3"]], Float[Tensor, "H W 1"]]
 STILL_SHARE: Final = 0.1  # of the frames count as still, those that turn least
 MOVING_WEIGHT: Final = 0.1  # of C in frames that move
 BOTH_UNTIL: Final = 5000  # B is compared too
+
+
+class Compared(NamedTuple):
+    """A render that is compared with the frame, and its share of what is compared."""
+
+    share: float
+    image: Float[Tensor, "H W 3"]
+    alpha: Float[Tensor, "H W"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,17 @@ class Exposure:
         """Mean coverage."""
         return mean_of_instants(self.instants.alpha)
 
+    def blended(
+        self,
+        image: Float[Tensor, "H W 3"],
+        alpha: Float[Tensor, "H W"],
+        share: Float[Tensor, "H W 1"],
+    ) -> Compared:
+        """F: C where `share` is 0, the instants' mean image and coverage where it is 1."""
+        sharp, covered = self.middle.image[0], self.middle.alpha[0]
+        alpha = torch.lerp(covered, alpha, share[..., 0])
+        return Compared(1.0, torch.lerp(sharp, image, share), alpha)
+
 
 @dataclass(frozen=True)
 class Supervision:
@@ -80,8 +98,8 @@ class Supervision:
 
     def compared(
         self, exposure: Exposure, blend: Blend | None, iteration: float, still: Callable[[], bool]
-    ) -> Compared:
-        """The renders that are compared with the frame, and their shares.
+    ) -> list[Compared]:
+        """The renders that are compared with the frame.
 
         Args:
             exposure: what was rendered.
@@ -91,9 +109,9 @@ class Supervision:
         """
         if self.render == "fused":
             assert blend is not None
-            sharp = exposure.middle.image[0]
-            return [(1.0, torch.lerp(sharp, exposure.mean, blend(sharp)))]
-        return [(1.0, exposure.mean)]
+            share = blend(exposure.middle.image[0])
+            return [exposure.blended(exposure.mean, exposure.alpha, share)]
+        return [Compared(1.0, exposure.mean, exposure.alpha)]
 
     def alpha(self, exposure: Exposure) -> Float[Tensor, "H W"]:
         """Mean coverage of the instants that count."""
@@ -119,16 +137,17 @@ class ReleasedSupervision(Supervision):
 
     def compared(
         self, exposure: Exposure, blend: Blend | None, iteration: float, still: Callable[[], bool]
-    ) -> Compared:
+    ) -> list[Compared]:
         """C and B, then C (a tenth of it in frames that move) and F."""
-        sharp = exposure.middle.image[0]
+        sharp, alpha = exposure.middle.image[0], exposure.middle.alpha[0]
         mean = with_instant(exposure.mean, exposure.instants.instants, sharp)
+        covered = self.alpha(exposure)
         if iteration < BOTH_UNTIL:
-            return [(1.0, sharp), (1.0, mean)]
-        compared = [(1.0 if still() else MOVING_WEIGHT, sharp)]
+            return [Compared(1.0, sharp, alpha), Compared(1.0, mean, covered)]
+        compared = [Compared(1.0 if still() else MOVING_WEIGHT, sharp, alpha)]
         if blend is not None:
             mean = mean.detach()
-            compared.append((1.0, torch.lerp(sharp, mean, blend(mean))))
+            compared.append(exposure.blended(mean, covered.detach(), blend(mean)))
         return compared
 
     def alpha(self, exposure: Exposure) -> Float[Tensor, "H W"]:

@@ -1,6 +1,7 @@
 """What one training frame asks of an avatar, at the size that fitting is at.
 
-A smaller frame is the area average of the full one, in the space in which light is averaged.
+Where the background is known it stays in the frame, and renders are put in front of it. A smaller
+frame is the area average of the full one, in the space in which light is averaged.
 """
 
 from dataclasses import dataclass, replace
@@ -12,8 +13,7 @@ from torch import Tensor
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import Camera
-from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
-from deblur_avatar.imaging.exposure import AveragingSpace
+from deblur_avatar.imaging.exposure import AveragingSpace, decode, encode, over
 
 # Not a parameter: enough to see the person's edge from both sides at three scales.
 BOX_MARGIN = 8  # pixels around the person in which structure is compared
@@ -28,6 +28,13 @@ class Target:
     comparable: Float[Tensor, "H W"] | None  # 1 where colours mean something; None: everywhere
     box: tuple[int, int, int, int]
     weight: float  # in (0, 1], of what is compared with this frame
+    background: Float[Tensor, "H W 3"] | None = None  # light behind, as averaged; None: black
+
+    def behind(
+        self, image: Float[Tensor, "H W 3"], alpha: Float[Tensor, "H W"]
+    ) -> Float[Tensor, "H W 3"]:
+        """A render's light, and that of the background which its coverage lets through."""
+        return image if self.background is None else over(image, alpha, self.background)
 
     def comparable_part(self, image: Float[Tensor, "H W C"]) -> Float[Tensor, "H W C"]:
         """A render, black where the frame's colours mean nothing."""
@@ -44,6 +51,7 @@ class Targets:
     def __init__(self, observations: Observations, share: float, device: torch.device) -> None:
         self._observations, self._share, self._device = observations, share, device
         self._smaller: dict[int, Target] = {}
+        self._still: Tensor | None = None  # light of the one background
         height, width = observations.frames.shape[1:3]
         camera = replace(observations.camera.to(device), width=width, height=height)
         self.camera = camera if share == 1 else camera.binned(share)
@@ -57,22 +65,48 @@ class Targets:
     def __getitem__(self, index: int) -> Target:
         """One frame."""
         if self._share == 1:
-            return target_of(self._observations, index, self._device)
+            return target_of(self._observations, index, self._device, self._background(index))
         if index not in self._smaller:
-            target = target_of(self._observations, index, self._device)
+            background = self._background(index)
+            target = target_of(self._observations, index, self._device, background)
             space = self._observations.averaging_space
             self._smaller[index] = _smaller(target, self.camera, space)
         return self._smaller[index]
 
+    def _background(self, index: int) -> Float[Tensor, "H W 3"] | None:
+        """Light behind the person at full size; that of a still camera is converted once."""
+        held = self._observations.backgrounds
+        if held is None or len(held) > 1:
+            return background_light(self._observations, index, self._device)
+        if self._still is None:
+            self._still = background_light(self._observations, index, self._device)
+        return self._still
 
-def target_of(observations: Observations, index: int, device: torch.device) -> Target:
+
+def background_light(
+    observations: Observations, index: int, device: torch.device
+) -> Float[Tensor, "H W 3"] | None:
+    """What is behind the person in one frame, in the space in which light is averaged."""
+    picture = observations.background(index)
+    if picture is None:
+        return None
+    return decode(picture.to(device).float() / 255, observations.averaging_space)
+
+
+def target_of(
+    observations: Observations,
+    index: int,
+    device: torch.device,
+    background: Float[Tensor, "H W 3"] | None = None,
+) -> Target:
     """Bring one frame, whose mask shows a person, to the device."""
     image = observations.comparable_part(observations.frames[index].to(device).float() / 255, index)
     matte = observations.mattes[index].to(device).float() / 255
     comparable = None
     if observations.comparable is not None:
         comparable = observations.comparable[index].to(device).float() / 255
-    return Target(image, matte, comparable, _box(matte), float(observations.weights[index]))
+    weight = float(observations.weights[index])
+    return Target(image, matte, comparable, _box(matte), weight, background)
 
 
 def _box(matte: Float[Tensor, "H W"]) -> tuple[int, int, int, int]:
@@ -96,12 +130,11 @@ def _smaller(target: Target, camera: Camera, averaging_space: AveragingSpace | s
         small = torch.nn.functional.adaptive_avg_pool2d(planes[None], size)[0].permute(1, 2, 0)
         return small.reshape(*size, *values.shape[2:]).contiguous()
 
-    linear = averaging_space == "linear"
-    light = averaged(srgb_to_linear(target.image) if linear else target.image)
-    image = linear_to_srgb(light) if linear else light
+    image = encode(averaged(decode(target.image, averaging_space)), averaging_space)
     matte, comparable = averaged(target.matte), target.comparable
     if comparable is not None:
         # Only where all that a pixel averages means something.
         comparable = (averaged(comparable) > 1 - 1e-6).to(matte)
         image = image * comparable[..., None]
-    return Target(image, matte, comparable, _box(matte), target.weight)
+    background = None if target.background is None else averaged(target.background)
+    return Target(image, matte, comparable, _box(matte), target.weight, background)

@@ -293,13 +293,14 @@ class AvatarFit:
         code = state.pose_code if fusion.sees_pose else None
         return lambda seen: fusion(seen, covered, code, state.frame)
 
-    def _with_gain(self, index: int, compared: Compared, target: Target) -> Compared:
+    def _with_gain(self, index: int, compared: list[Compared], target: Target) -> list[Compared]:
         """As bright as the frame is."""
         if self._gains is None:
             return compared
         gain = self._gains.of(index)
-        self._gains.observe(index, compared[-1][1], target)
-        return [(share, gain * picture) for share, picture in compared]
+        last = compared[-1]
+        self._gains.observe(index, target.behind(last.image, last.alpha), target)
+        return [render._replace(image=gain * render.image) for render in compared]
 
     def _is_still(self, index: int) -> bool:
         """Whether a frame counts as still, which is settled once, when it first matters."""

@@ -7,7 +7,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
-from deblur_avatar.evaluation.reblur import poses_of_exposure, reblur
+from deblur_avatar.evaluation.reblur import poses_of_exposure, reblur, reblurred
 
 TRAIN = (0, 1, 3, 4)
 
@@ -87,6 +87,20 @@ def test_instants_are_averaged_as_the_shutter_did(scene, painted, body):
     frames[1] = (images.mean(0) * 255).round().to(torch.uint8)
     observations = dataclasses.replace(scene.observations, frames=frames, train=(1,))
     assert reblur(model, observations, motion)["psnr_train"] > 45
+
+
+def test_an_avatar_is_seen_before_what_was_behind_the_person(scene, painted):
+    model, seen = painted(frames=8), scene.observations
+    behind = torch.full_like(seen.frames[:1], 180)
+    frames = []
+    for position in range(len(seen.frames)):
+        image, alpha = reblurred(model, seen, scene.motion, position)
+        frames.append(image + (1 - alpha)[..., None] * 180 / 255)
+    room = (torch.stack(frames) * 255).round().to(torch.uint8)
+    filmed = dataclasses.replace(seen, frames=room, backgrounds=behind, averaging_space="srgb")
+    assert reblur(model, filmed, scene.motion)["psnr_train"] > 50
+    without = dataclasses.replace(filmed, backgrounds=None)
+    assert reblur(model, without, scene.motion)["psnr_train"] < 10
 
 
 def test_without_frames_set_aside_there_is_no_score_for_them(scene, painted):

@@ -4,11 +4,14 @@ import torch
 
 from deblur_avatar.imaging.exposure import (
     blur_windows,
+    decode,
+    encode,
     expose,
     exposure_seconds,
     frames_before,
     frames_with_whole_window,
     mean_of_instants,
+    over,
 )
 
 pytestmark = pytest.mark.portable
@@ -62,6 +65,19 @@ def test_the_mean_of_one_instant_is_that_instant_with_all_of_its_gradient():
     assert torch.equal(mean, instant[0])
     (grad,) = torch.autograd.grad(mean, instant, torch.full_like(mean, 3.0))
     assert torch.equal(grad, torch.full_like(instant, 3.0))
+
+
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_the_mean_of_composites_is_the_composite_of_means(averaging_space):
+    generator = torch.Generator().manual_seed(4)
+    images = torch.rand(5, 6, 7, 3, generator=generator) * 0.5
+    alphas = torch.rand(5, 6, 7, generator=generator)
+    behind = torch.rand(6, 7, 3, generator=generator)
+    light = decode(behind, averaging_space)
+    each = [over(image, alpha, light) for image, alpha in zip(images, alphas, strict=True)]
+    together = over(mean_of_instants(images), mean_of_instants(alphas), light)
+    torch.testing.assert_close(mean_of_instants(torch.stack(each)), together)
+    torch.testing.assert_close(encode(light, averaging_space), behind, atol=1e-6, rtol=0)
 
 
 def test_the_papers_windows_last_as_long_as_the_paper_says():

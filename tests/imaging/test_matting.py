@@ -2,12 +2,14 @@ import pytest
 import torch
 
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
+from deblur_avatar.imaging.exposure import decode, encode, over
 from deblur_avatar.imaging.matting import (
     Plate,
     background_plate,
     comparable_pixels,
     lift_person,
     no_plate,
+    scenery,
     trim_mattes,
 )
 
@@ -46,8 +48,8 @@ def walk(coverage: float = 1.0, averaging_space: str = "srgb") -> tuple[torch.Te
 def test_the_plate_shows_what_the_person_hid():
     frames, mattes = walk()
     plate = background_plate(frames, mattes)
-    assert torch.equal(plate.known, (mattes > 0).any(0))
-    assert torch.equal(plate.picture[plate.known], codes(background())[plate.known])
+    assert plate.known.all()
+    assert torch.equal(plate.picture, codes(background()))
 
 
 def test_the_plate_is_a_median_so_that_a_passing_shadow_does_not_show():
@@ -116,12 +118,58 @@ def test_colours_count_inside_and_outside_but_not_in_an_unknown_edge():
     mattes = torch.zeros(1, 200, 100, dtype=torch.uint8)
     mattes[0, 50:150, 30:70] = 255
     mattes[0, 50:150, 28:30] = 100
-    unknown = comparable_pixels(mattes, [no_plate(matte) for matte in mattes])[0]
+    nowhere = torch.zeros(1, 200, 100, dtype=torch.bool)
+    unknown = comparable_pixels(mattes, nowhere)[0]
     assert unknown[100, 50] == 255
     assert unknown[100, 10] == 255
     assert unknown[100, 28:31].max() == 0
-    known = no_plate(mattes[0])._replace(known=torch.ones(200, 100, dtype=torch.bool))
-    assert comparable_pixels(mattes, [known]).min() == 255
+    assert comparable_pixels(mattes, ~nowhere).min() == 255
+
+
+def walk_far() -> tuple[torch.Tensor, torch.Tensor, Plate]:
+    """The walk in a picture ten times as large, in which "near" is some pixels."""
+    frames, mattes = (images.repeat_interleave(10, 1).repeat_interleave(10, 2) for images in walk())
+    return frames, mattes, background_plate(frames, mattes)
+
+
+def test_frames_before_plates_are_as_filmed_near_the_person_and_the_plate_elsewhere():
+    frames, mattes, plate = walk_far()
+    littered = frames.clone()
+    littered[:, 0, 0] = 255  # a passer-by's hat
+    beside = int(torch.nonzero(mattes[2, 100]).min()) - 2
+    littered[2, 100, beside] = 7  # the edge of a sleeve that the segmenter overlooked
+    shown = scenery(littered, mattes, plate.picture[None], plate.known[None])
+    assert torch.equal(shown.frames[:, 0, 0], plate.picture[0, 0].expand(FRAMES, -1))
+    assert (shown.frames[2, 100, beside] == 7).all()
+    assert torch.equal(shown.frames[mattes > 0], frames[mattes > 0])
+    assert shown.comparable.min() == 255
+
+
+def test_before_a_plate_with_a_hole_the_persons_edge_is_not_compared_but_her_inside_is():
+    frames, mattes, plate = walk_far()
+    hole = torch.zeros_like(plate.known)
+    shown = scenery(frames, mattes, torch.zeros_like(plate.picture)[None], hole[None])
+    inside = int(torch.nonzero(mattes[2, 100]).min()) + 20
+    assert shown.comparable[2, 100, inside] == 255
+    assert torch.equal(shown.frames[2, 100, inside], frames[2, 100, inside])
+    assert shown.comparable[2, 100, inside - 20] == 0
+    assert shown.comparable[2, 0, 0] == 255
+    assert shown.frames[2, 0, 0].max() == 0
+
+
+@pytest.mark.parametrize("averaging_space", ["srgb", "linear"])
+def test_a_person_over_the_plate_is_the_frame_whatever_the_matte_says(averaging_space: str):
+    frames, mattes = walk(0.6, averaging_space)
+    plate = background_plate(frames, mattes)
+    wrong = torch.where(mattes > 0, 255, 0).to(torch.uint8)  # a segmenter is sure of blurred limbs
+    shown = scenery(frames, wrong, plate.picture[None], plate.known[None]).frames.float() / 255
+    light = decode(PERSON, averaging_space)
+    for frame, matte in zip(shown, mattes, strict=True):
+        alpha = matte.float() / 255
+        person = alpha[..., None] * light
+        behind = decode(plate.picture.float() / 255, averaging_space)
+        made = encode(over(person, alpha, behind), averaging_space)
+        torch.testing.assert_close(made, frame, atol=0.012, rtol=0)
 
 
 def test_without_a_plate_a_pixel_is_what_its_matte_says():

@@ -15,6 +15,7 @@ from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
+from deblur_avatar.imaging.matting import near_person
 from deblur_avatar.imaging.resampling import crop_and_scale
 from deblur_avatar.pipeline.preprocess import Preprocessed, PreprocessParams, preprocess
 from tests.walking_person import FPS, SIZE, detect_perfectly, ring_of_cameras, walking_poses
@@ -269,9 +270,14 @@ def test_masks_and_poses_are_estimated_where_they_are_not_given(
     assert made.sharp is not None
     assert set(made.metrics["fit"]) == {"cam0", "cam1", "cam3"}
     assert made.metrics["fit"]["cam1"]["iou"] > 0.75
-    # The person is on black, background and all.
-    outside = made.blurred.mattes == 0
-    assert made.blurred.frames[outside].max() == 0
+    # The person stands before the background that frames have in common.
+    assert made.blurred.backgrounds is not None
+    assert len(made.blurred.backgrounds) == 1
+    behind = made.blurred.backgrounds.expand_as(made.blurred.frames)
+    outside = ~near_person(made.blurred.mattes > 0)
+    assert behind.max() > 0
+    assert torch.equal(made.blurred.frames[outside], behind[outside])
+    assert torch.equal(made.sharp.backgrounds, made.blurred.backgrounds)
     assert (made.blurred.frames[made.blurred.mattes == 255] == torch.tensor(PERSON)).all()
 
 

@@ -10,6 +10,7 @@ from deblur_avatar.training import picture_losses as module
 from deblur_avatar.training.losses import LOSSES, coverage, photometric, structure
 from deblur_avatar.training.objective import Objective
 from deblur_avatar.training.picture_losses import has_kernel, picture_losses
+from deblur_avatar.training.supervision import Compared
 from deblur_avatar.training.targets import Target
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
@@ -32,12 +33,13 @@ def render(height=50, width=40, seed=0):
     return image, torch.rand(height, width, generator=seeded(seed + 1))
 
 
-def target(box=BOX, comparable=False, height=50, width=40, weight=0.7):
+def target(box=BOX, comparable=False, height=50, width=40, weight=0.7, background=False):
     image, matte = render(height, width, seed=5)
     part = (torch.rand(height, width, generator=seeded(9)) * 1.5).clamp(max=1)
     part[: height // 3] = 0
     image = image.clamp(0, 1) * (part[..., None] if comparable else 1)
-    return Target(image, matte, part if comparable else None, box, weight)
+    behind = render(height, width, seed=11)[0] if background else None
+    return Target(image, matte, part if comparable else None, box, weight, behind)
 
 
 def terms_and_gradients(seen, space="srgb", weights=WEIGHTS, dtype=torch.float32, picture=None):
@@ -45,7 +47,7 @@ def terms_and_gradients(seen, space="srgb", weights=WEIGHTS, dtype=torch.float32
     image, alpha = [v.to(dtype).requires_grad_() for v in picture or render(*seen.matte.shape)]
     tensors = {
         name: value.to(dtype)
-        for name in ("image", "matte", "comparable")
+        for name in ("image", "matte", "comparable", "background")
         if (value := getattr(seen, name)) is not None
     }
     asked = object.__new__(Objective)
@@ -53,7 +55,8 @@ def terms_and_gradients(seen, space="srgb", weights=WEIGHTS, dtype=torch.float32
     asked._weights = weights
     on = {name: LOSSES[name].on(torch.device("cpu")) for name in weights}
     asked._losses = {name: (LOSSES[name], on[name]) for name in weights}
-    terms = asked.pictures([(1.0, image)], alpha, dataclasses.replace(seen, **tensors))
+    shown = [Compared(1.0, image, alpha)]
+    terms = asked.pictures(shown, alpha, dataclasses.replace(seen, **tensors))
     total = torch.stack(list(terms.values())).sum()
     grads = torch.autograd.grad(total, (image, alpha), allow_unused=True, materialize_grads=True)
     return {name: term.detach() for name, term in terms.items()}, grads
@@ -77,6 +80,17 @@ def check_agreement(seen, **options):
 @pytest.mark.parametrize("box", [BOX, WHOLE, (8, 4, 24, 36)])
 def test_the_kernel_agrees_with_the_table_of_losses_in_value_and_gradient(space, comparable, box):
     check_agreement(target(box, comparable), space=space)
+
+
+@pytest.mark.parametrize("space", ["srgb", "linear"])
+def test_coverage_learns_from_the_background_that_it_hides(space):
+    check_agreement(target(comparable=True, background=True), space=space)
+    shown, hidden = (
+        terms_and_gradients(target(background=known), space=space, weights={"l1": 1.0})[1][1]
+        for known in (True, False)
+    )
+    assert shown.abs().max() > 0
+    assert hidden.abs().max() == 0
 
 
 @pytest.mark.parametrize(
@@ -168,8 +182,10 @@ def test_several_pictures_or_shares_of_them_are_compared_in_plain_torch(monkeypa
     asked = object.__new__(Objective)
     asked._avatar = SimpleNamespace(averaging_space="srgb")
     asked._weights, asked._losses = WEIGHTS, {"l1": (LOSSES["l1"], photometric)}
-    one = asked.pictures([(0.5, image)], alpha, seen)["l1"]
-    torch.testing.assert_close(asked.pictures([(0.5, image)] * 2, alpha, seen)["l1"], 2 * one)
+    one = asked.pictures([Compared(0.5, image, alpha)], alpha, seen)["l1"]
+    torch.testing.assert_close(
+        asked.pictures([Compared(0.5, image, alpha)] * 2, alpha, seen)["l1"], 2 * one
+    )
 
 
 def test_a_row_that_compares_otherwise_is_not_the_kernels(monkeypatch):
@@ -198,11 +214,11 @@ def test_each_loss_has_a_gradient_of_its_own():
 
 
 def test_tensors_need_not_be_contiguous():
-    seen, (image, alpha) = target(comparable=True), render()
+    seen, (image, alpha) = target(comparable=True, background=True), render()
     straight = terms_and_gradients(seen, picture=(image, alpha))
     tensors = {
         name: getattr(seen, name).transpose(0, 1).contiguous().transpose(0, 1)
-        for name in ("image", "matte", "comparable")
+        for name in ("image", "matte", "comparable", "background")
     }
     strided = terms_and_gradients(
         dataclasses.replace(seen, **tensors),

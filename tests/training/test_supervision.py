@@ -7,6 +7,7 @@ from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.training.supervision import MASKS, SUPERVISIONS, Exposure, still_frames
 
 C, B, S = 0.2, 0.6, 3  # grey levels of the sharp and the averaged render, instants
+C_ALPHA, B_ALPHA = 0.4, 0.5  # their coverage
 SHARE = 0.25  # of B in F
 
 
@@ -20,7 +21,7 @@ EXPOSURE = Exposure(rendered(B, [0.0, 0.5, 1.0], S), rendered(C, [0.4], 1))
 
 
 def compared(name, iteration, still, blended, exposure=EXPOSURE):
-    """Shares and levels of what is compared, and what the fusion network saw."""
+    """Shares, levels and coverage of what is compared, and what the fusion network saw."""
     seen = []
 
     def blend(render):
@@ -30,18 +31,27 @@ def compared(name, iteration, still, blended, exposure=EXPOSURE):
     found = SUPERVISIONS[name].compared(
         exposure, blend if blended else None, float(iteration), lambda: still
     )
-    return [(share, pytest.approx(float(image.mean()))) for share, image in found], seen
+    means = [(one.image.mean(), one.alpha.mean()) for one in found]
+    levels = [tuple(pytest.approx(float(mean)) for mean in pair) for pair in means]
+    return [(one.share, *pair) for one, pair in zip(found, levels, strict=True)], seen
 
 
-@pytest.mark.parametrize(("name", "level"), [("mean", B), ("fused", (1 - SHARE) * C + SHARE * B)])
-def test_a_plain_supervision_compares_one_render_throughout(name, level):
+def blended(sharp, mean):
+    return (1 - SHARE) * sharp + SHARE * mean
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "alpha"),
+    [("mean", B, B_ALPHA), ("fused", blended(C, B), blended(C_ALPHA, B_ALPHA))],
+)
+def test_a_plain_supervision_compares_one_render_throughout(name, level, alpha):
     for iteration in (0, 4000, 14000):
-        assert compared(name, iteration, False, True)[0] == [(1.0, level)]
+        assert compared(name, iteration, False, True)[0] == [(1.0, level, alpha)]
 
 
 def test_without_an_exposure_the_middle_is_compared():
     still = Exposure(rendered(C, [0.4], 1), None)
-    assert compared("sharp", 0, False, False, still)[0] == [(1.0, C)]
+    assert compared("sharp", 0, False, False, still)[0] == [(1.0, C, C_ALPHA)]
     assert not SUPERVISIONS["sharp"].averages
 
 
@@ -51,18 +61,21 @@ def test_the_fusion_network_sees_the_sharp_render_and_the_released_one_the_mean(
 
 
 RELEASED_B = (S * B + C) / (S + 1)  # the sharp render is one more instant
-RELEASED_F = (1 - SHARE) * C + SHARE * RELEASED_B
+RELEASED_ALPHA = (S * B_ALPHA + C_ALPHA) / (S + 1)
+SHARP, MEAN = (1.0, C, C_ALPHA), (1.0, RELEASED_B, RELEASED_ALPHA)
+FUSED = (1.0, blended(C, RELEASED_B), blended(C_ALPHA, RELEASED_ALPHA))
+MOVING = (0.1, C, C_ALPHA)
 
 
 @pytest.mark.parametrize(
     ("iteration", "still", "wanted"),
     [
-        (3001, False, [(1.0, C), (1.0, RELEASED_B)]),
-        (4999, True, [(1.0, C), (1.0, RELEASED_B)]),
-        (5000, False, [(0.1, C)]),
-        (6999, True, [(1.0, C)]),
-        (7000, False, [(0.1, C), (1.0, RELEASED_F)]),
-        (15000, True, [(1.0, C), (1.0, RELEASED_F)]),
+        (3001, False, [SHARP, MEAN]),
+        (4999, True, [SHARP, MEAN]),
+        (5000, False, [MOVING]),
+        (6999, True, [SHARP]),
+        (7000, False, [MOVING, FUSED]),
+        (15000, True, [SHARP, FUSED]),
     ],
 )
 def test_the_released_code_changes_what_it_compares(iteration, still, wanted):

@@ -40,6 +40,25 @@ def test_a_smaller_frame_is_the_area_average_of_light(observations):
         assert float(small.matte.mean()) == pytest.approx(float(whole.matte.mean()), abs=1e-6)
 
 
+@pytest.mark.parametrize("frames", [1, "each"])
+def test_a_background_is_averaged_as_light_is_and_put_behind_renders(observations, frames):
+    count = len(observations.frames) if frames == "each" else 1
+    pictures = torch.zeros(count, *observations.frames.shape[1:], dtype=torch.uint8)
+    pictures[:, ::2] = 255
+    pictures[0] = pictures[0].flip(0)  # of its own, where each frame has one
+    seen = dataclasses.replace(observations, backgrounds=pictures, averaging_space="linear")
+    small, whole = (Targets(seen, share, CPU)[0] for share in (0.5, 1.0))
+    assert small.background is not None
+    assert whole.background is not None
+    torch.testing.assert_close(small.background, torch.full_like(small.background, 0.5))
+    assert torch.equal(whole.background[1::2], torch.ones_like(whole.background[1::2]))
+    assert torch.equal(Targets(seen, 1.0, CPU)[1].background, (pictures[-1] > 0).float())
+    light, alpha = torch.full_like(whole.image, 0.1), torch.full_like(whole.matte, 0.75)
+    expected = torch.full_like(light[1::2], 0.35)
+    torch.testing.assert_close(whole.behind(light, alpha)[1::2], expected)
+    assert torch.equal(Targets(observations, 1.0, CPU)[0].behind(light, alpha), light)
+
+
 def test_a_smaller_pixel_is_compared_only_if_all_that_it_averages_may_be(observations):
     comparable = torch.full_like(observations.mattes, 255)
     comparable[:, 3, 5] = 0

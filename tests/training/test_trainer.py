@@ -357,7 +357,7 @@ def test_the_released_code_compares_sharp_and_mean_then_sharp_and_fused(begin, f
     seen = []
     compare = fit.objective.pictures
     fit.objective.pictures = lambda compared, *rest: (
-        seen.append([weight for weight, _ in compared]) or compare(compared, *rest)
+        seen.append([one.share for one in compared]) or compare(compared, *rest)
     )
     fit._still = set()
     terms = fit.step(80 if fused else 40, "released", "union")
