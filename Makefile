@@ -6,7 +6,7 @@ STAMP := .venv/.installed
 WORKERS ?= 2
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS)
 
-.PHONY: setup repro avatar check stability test test-portable fuzz bench code relock readme clean-cache
+.PHONY: setup repro avatar check proof stability test test-portable fuzz bench code relock readme clean-cache
 
 setup: $(STAMP)
 
@@ -37,6 +37,13 @@ avatar: code
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: code
 	$(BIN)/deblur-avatar check $(SCENE)
+
+# Every avatar with every motion on scenes that no setting was chosen on: experiments/proof/reports/index.html. Says
+# first what it will take; goes on where it was stopped. PARTS="grid windows" makes these alone, PLAN=1 says it and stops.
+proof: export OMP_NUM_THREADS := 1
+proof: export DEBLUR_AVATAR_THREADS := 1
+proof: code
+	$(BIN)/deblur-avatar proof $(if $(PARTS),--parts $(PARTS)) $(if $(PLAN),--plan)
 
 # Where methods fail, on small scenes with known truth: stability/reports/index.html. Scenes first, then two methods
 # at a time.

@@ -17,6 +17,7 @@ COMMANDS = {
     "video": "from a video of one person to an avatar, a check and a report",
     "check": "say whether scenes are fit for training",
     "repro": "run the whole pipeline as far as this machine has the footage",
+    "proof": "fit every avatar with every motion on the report scenes, and say what it is worth",
     "report": "write the report over the results there are",
     "film": "write the video of a street scene",
     "export": "write a fitted run as a file that other programs open",

@@ -26,20 +26,26 @@ def check_checkout(folder: Path) -> None:
         )
 
 
-def reproduce(*steps: Sequence[str]) -> int:
+def reproduce(*steps: Sequence[str], refreshed: bool = False) -> int:
     """Run `dvc repro` with the words of each step, one after the other, in this folder.
 
     Fingerprints of code are refreshed first, as `make code` does.
 
+    Args:
+        steps: of words each.
+        refreshed: they are already; others may run beside, which DVC waits for.
+
     Returns:
         0, or the exit code of the first step that failed.
     """
-    refresh(Path())
+    if not refreshed:
+        refresh(Path())
     # Stage commands say `python`: the environment's own, whatever the shell's path says.
     here = str(Path(sys.executable).parent)
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', '')}"}
     for step in steps:
-        command = [sys.executable, "-m", "dvc", "repro", *step]
+        waiting = ["--wait-for-lock"] if refreshed else []
+        command = [sys.executable, "-m", "dvc", *waiting, "repro", *step]
         code = subprocess.run(command, env=environment, check=False).returncode
         if code != 0:
             return code

@@ -17,12 +17,12 @@ from deblur_avatar.run import read_json
 STAGES = ("warmup", "trajectory", "fusion")
 
 
-def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
+def read_costs(files: Mapping[str, Path]) -> dict[str, float | None]:
     """Read what each stage of a run measured.
 
     Args:
-        folder: `metrics/cost`.
-        run: whose costs; its warm-up may be shared with other methods and is counted in full.
+        files: by stage, as `cost_files` names them; a warm-up may be shared with other methods and
+            is counted in full.
 
     Returns:
         `train_s` and `<stage>_s`, wall-clock seconds, `peak_memory_mb` of the largest stage, and
@@ -32,10 +32,10 @@ def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
         ArtifactError: if a measurement is damaged.
     """
     keys = ("seconds", "peak_memory_mb")
-    found = {stage: _read(cost_file(folder, stage, run), keys) for stage in STAGES}
+    found = {stage: _read(files[stage], keys) for stage in STAGES}
     seconds = {stage: content.get("seconds") for stage, content in found.items()}
     peaks = [content["peak_memory_mb"] for content in found.values() if content]
-    rendering = _read(cost_file(folder, "evaluate", run), ("render_fps",))
+    rendering = _read(files["evaluate"], ("render_fps",))
     return {
         "train_s": _sum(list(seconds.values())),
         **{f"{stage}_s": value for stage, value in seconds.items()},
@@ -44,7 +44,7 @@ def read_costs(folder: Path, run: RunParams) -> dict[str, float | None]:
     }
 
 
-def with_seconds(curve: Mapping[str, Any], folder: Path, run: RunParams) -> dict[str, Any]:
+def with_seconds(curve: Mapping[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:
     """A learning curve whose points say after how many seconds of training each avatar was kept.
 
     They count from the run's first iteration over its three stages, the warm-up in full although
@@ -57,7 +57,7 @@ def with_seconds(curve: Mapping[str, Any], folder: Path, run: RunParams) -> dict
     ends: dict[str, float] = {}  # of stages that kept nothing on the way
     before = 0.0
     for stage in STAGES:
-        path = cost_file(folder, stage, run)
+        path = files[stage]
         content = read_json(path)
         try:
             for kept in content["snapshots"]:
@@ -72,17 +72,18 @@ def with_seconds(curve: Mapping[str, Any], folder: Path, run: RunParams) -> dict
         seconds = at.get((stage, iteration), ends.get(stage))
         if seconds is None:
             raise ArtifactError(
-                f"{cost_file(folder, stage, run)} knows no snapshot of iteration {iteration}; it "
+                f"{files[stage]} knows no snapshot of iteration {iteration}; it "
                 "is of another run than the learning curve: run `dvc repro`"
             )
         points.append({"stage": stage, "iteration": iteration, "seconds": seconds} | point)
     return {**curve, "points": points}
 
 
-def cost_file(folder: Path, stage: str, run: RunParams) -> Path:
-    """What a stage measured with a clock for a run; its warm-up may be shared."""
-    warmup = f"{run.scene}-{run.observations}-{run.avatar}"
-    return folder / stage / f"{warmup if stage == 'warmup' else f'{run.scene}-{run.method}'}.json"
+def cost_files(folder: Path, run: RunParams) -> dict[str, Path]:
+    """What each stage measured with a clock for a run, below `metrics/cost`."""
+    items = dict.fromkeys((*STAGES, "evaluate"), f"{run.scene}-{run.method}")
+    items["warmup"] = f"{run.scene}-{run.observations}-{run.avatar}"
+    return {stage: folder / stage / f"{item}.json" for stage, item in items.items()}
 
 
 def _seconds(measured: Mapping[str, Any]) -> float:

@@ -22,9 +22,12 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
+from deblur_avatar.config.proof import files_of
+
 PACKAGES = ("deblur_avatar", "benchmarks")
 SCRIPTS = ("stages", "benchmarks/stress/stages")
 AREAS = ("experiments", "avatars")
+PROOF = "experiments/proof"
 PIPELINE, FINGERPRINTS = "dvc.yaml", "code.json"
 FILE_NAME = re.compile(r"\w[\w-]*(\.\w+)+")
 BLOCKS = ("body", "orelse", "finalbody")  # statements of a node
@@ -57,19 +60,25 @@ def fingerprints(root: Path) -> dict[str, str]:
 
 
 def refresh(root: Path) -> list[Path]:
-    """Write the fingerprints, and the root's pipeline, into every folder that runs it.
+    """Write the fingerprints, and the root's pipeline, into every folder that runs it; and what
+    the plan of the proof stands for.
 
     Returns:
         Files whose content has changed.
     """
     pipeline = (root / PIPELINE).read_bytes()
     hashes = f"{json.dumps(fingerprints(root), indent=1)}\n".encode()
-    changed = []
+    wanted: dict[Path, bytes] = {}
     for folder in pipelines(root):
-        for path, content in ((folder / PIPELINE, pipeline), (folder / FINGERPRINTS, hashes)):
-            if not path.is_file() or path.read_bytes() != content:
-                path.write_bytes(content)
-                changed.append(path)
+        wanted |= {folder / PIPELINE: pipeline, folder / FINGERPRINTS: hashes}
+    if (root / PROOF).is_dir():
+        wanted |= files_of(root / PROOF)
+    changed = []
+    for path, content in wanted.items():
+        if not path.is_file() or path.read_bytes() != content:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+            changed.append(path)
     return changed
 
 

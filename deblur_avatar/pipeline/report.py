@@ -16,7 +16,7 @@ import numpy as np
 from deblur_avatar import run
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.evaluation.costs import read_costs, with_seconds
+from deblur_avatar.evaluation.costs import cost_files, read_costs, with_seconds
 from deblur_avatar.evaluation.findings import failures, read_findings
 from deblur_avatar.evaluation.recovery import (
     compared,
@@ -214,7 +214,8 @@ def read_results(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, Resu
             content = _read(path)
             if (content.get("scene"), content.get("method")) != (scene, method):
                 raise ArtifactError(f"{path} is not of {method} on {scene}; run `dvc repro`")
-            last = {"cost": read_costs(metrics / "cost", run_params), "run": content.pop("run", {})}
+            costs = read_costs(cost_files(metrics / "cost", run_params))
+            last = {"cost": costs, "run": content.pop("run", {})}
             scenes.setdefault(scene, {})[method] = content | last
     # The scene with a known truth comes first: it says most.
     return dict(sorted(scenes.items(), key=lambda item: ("ceiling" not in item[1], item[0])))
@@ -237,7 +238,7 @@ def read_learning_curves(metrics: Path, runs: Mapping[str, RunParams]) -> dict[s
                     f"{path} is damaged: its points must each have {', '.join(sorted(MOMENT))}; "
                     "run `dvc repro`"
                 )
-            curve = with_seconds(content, metrics / "cost", run_params)
+            curve = with_seconds(content, cost_files(metrics / "cost", run_params))
             found.setdefault(run_params.scene, {})[run_params.method] = curve
     return found
 

@@ -5,7 +5,7 @@ Equal rows give equal bytes: no dates, fixed ids, the font that matplotlib bring
 
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -27,7 +27,8 @@ COLORS = {
     "ceiling": "#9aa3af", "oracle": "#5f6b7a", "agnostic": "#c2552d", "predeblur": "#d08a2e",
     "no_fusion": "#4f9ab8", "no_nonrigid": "#3fa7a0", "n3": "#9cc3e6", "paper": "#2b6cb0",
     "n7": "#6ea6da", "n9": "#5590cb", "n13": "#1d4f86", "cubic": "#6a5acd", "learned": "#a06cc0",
-    "released": "#8a5fb0", "lean": "#1f8a5b",
+    "released": "#8a5fb0", "lean": "#1f8a5b", "pair": "#4f9ab8", "mad": "#b5487a",
+    "clip": "#1f8a5b", "oracle_clip": "#3d4550",
 }  # fmt: skip
 OTHER_COLORS = ("#b5487a", "#7a6a4f", "#3d7f3a", "#b08a00", "#00798c")  # methods without their own
 PANEL, LEGEND = (4.6, 3.4), 1.5  # inches: width and height, width
@@ -58,12 +59,14 @@ def chart_files(name: str, rows: Sequence[Row]) -> dict[str, bytes]:
         rows: of `rows_of_methods` or `rows_over_time`.
     """
     files = {f"{name}.json": (json.dumps(rows, indent=1) + "\n").encode()}
-    if rows:
-        with matplotlib.rc_context(STYLE):
-            figure = CHARTS[name](rows)
-            files[f"{name}.svg"] = _saved(figure, "svg")
-            files[f"{name}.png"] = _saved(figure, "png")
-    return files
+    return files | (drawn(name, lambda: CHARTS[name](rows)) if rows else {})
+
+
+def drawn(name: str, draw: Callable[[], Figure]) -> dict[str, bytes]:
+    """The pictures of a chart, `<name>.svg` and `<name>.png`, drawn in the style of all charts."""
+    with matplotlib.rc_context(STYLE):
+        figure = draw()
+        return {f"{name}.{kind}": _saved(figure, kind) for kind in ("svg", "png")}
 
 
 def speed_accuracy_chart(rows: Sequence[Row]) -> Figure:
@@ -74,7 +77,7 @@ def speed_accuracy_chart(rows: Sequence[Row]) -> Figure:
     """
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     colors = _colors(rows)
-    figure, axes = _panels(1, len(scenes), legend=len(colors) > MAX_LABELS)
+    figure, axes = panels(1, len(scenes), named=len(colors) > MAX_LABELS)
     for panel, scene in zip(axes[0], scenes, strict=True):
         here = [row for row in rows if row["scene"] == scene]
         front = sorted((r["training_s"], r["psnr_db"]) for r in here if r["pareto"])
@@ -86,8 +89,8 @@ def speed_accuracy_chart(rows: Sequence[Row]) -> Figure:
         panel.margins(0.12)
         panel.set_xlim(left=0)
     if len(colors) > MAX_LABELS:
-        _legend(figure, colors)
-    _lay_out(figure)
+        legend(figure, colors)
+    lay_out(figure)
     if len(colors) <= MAX_LABELS:
         _label_points(figure, axes[0], [[r for r in rows if r["scene"] == s] for s in scenes])
     return figure
@@ -101,7 +104,7 @@ def quality_over_time_chart(rows: Sequence[Row]) -> Figure:
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     measures = [m for m in QUALITIES if any(row["measure"] == m for row in rows)]
     colors = _colors(rows)
-    figure, axes = _panels(len(measures), len(scenes), legend=True)
+    figure, axes = panels(len(measures), len(scenes), named=True)
     for line, measure in zip(axes, measures, strict=True):
         for panel, scene in zip(line, scenes, strict=True):
             here = [r for r in rows if (r["measure"], r["scene"]) == (measure, scene)]
@@ -119,8 +122,8 @@ def quality_over_time_chart(rows: Sequence[Row]) -> Figure:
             panel.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
             panel.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
             panel.xaxis.set_minor_locator(ticker.NullLocator())
-    _legend(figure, colors)
-    _lay_out(figure)
+    legend(figure, colors)
+    lay_out(figure)
     return figure
 
 
@@ -130,14 +133,15 @@ CHARTS: dict[str, Callable[[Sequence[Row]], Figure]] = {
 }
 
 
-def _panels(rows: int, columns: int, *, legend: bool) -> tuple[Figure, list[list[Axes]]]:
-    size = columns * PANEL[0] + (LEGEND if legend else 0), rows * PANEL[1]
+def panels(rows: int, columns: int, *, named: bool) -> tuple[Figure, list[list[Axes]]]:
+    """A figure of so many panels, with room for a legend beside them if they are `named`."""
+    size = columns * PANEL[0] + (LEGEND if named else 0), rows * PANEL[1]
     figure = Figure(figsize=size, dpi=DPI, layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.12))
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False).tolist()
 
 
-def _lay_out(figure: Figure) -> None:
+def lay_out(figure: Figure) -> None:
     """Settle once where everything lies: it takes longer than to draw it."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
@@ -189,7 +193,8 @@ def _area(box: Bbox) -> float:
     return float(box.width * box.height)
 
 
-def _legend(figure: Figure, colors: dict[str, str]) -> None:
+def legend(figure: Figure, colors: Mapping[str, str]) -> None:
+    """Name each colour, beside all panels."""
     marks = [Line2D([], [], color=color, marker="o", ls="", ms=8) for color in colors.values()]
     figure.legend(marks, list(colors), loc="outside right upper", frameon=False, handletextpad=0.2)
 

@@ -9,10 +9,12 @@ from deblur_avatar.sources.multiview import MultiviewParams
 from deblur_avatar.sources.source import Source
 from deblur_avatar.sources.studio.source import StudioParams
 from deblur_avatar.sources.studio.street import StreetParams
+from deblur_avatar.sources.studio.unfitted_studio import UnfittedStudioParams
 from deblur_avatar.sources.zju_mocap.source import ZjuMocapParams
 
 SOURCES: dict[str, type[Source]] = {
     "studio": StudioParams,
+    "unfitted_studio": UnfittedStudioParams,
     "street": StreetParams,
     "multiview": MultiviewParams,
     "monocular": MonocularParams,

@@ -5,7 +5,7 @@ import pytest
 
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.evaluation.costs import read_costs, with_seconds
+from deblur_avatar.evaluation.costs import cost_files, read_costs, with_seconds
 
 RUN = RunParams(scene="hall", observations="sharp", avatar="plain", method="oracle")
 
@@ -21,7 +21,7 @@ def test_seconds_add_up_and_the_largest_stage_sets_the_memory(tmp_path):
     measured(tmp_path, "warmup", "hall-sharp-plain", 10.0, 500.0)
     measured(tmp_path, "trajectory", "hall-oracle", 20.0, 900.0)
     measured(tmp_path, "fusion", "hall-oracle", 5.5, 700.0)
-    assert read_costs(tmp_path, RUN) == {
+    assert read_costs(cost_files(tmp_path, RUN)) == {
         "train_s": 35.5,
         "warmup_s": 10.0,
         "trajectory_s": 20.0,
@@ -32,17 +32,17 @@ def test_seconds_add_up_and_the_largest_stage_sets_the_memory(tmp_path):
     path = tmp_path / "evaluate/hall-oracle.json"
     path.parent.mkdir()
     path.write_text('{"render_fps": 31.5}')
-    assert read_costs(tmp_path, RUN)["render_fps"] == 31.5
+    assert read_costs(cost_files(tmp_path, RUN))["render_fps"] == 31.5
 
 
 def test_a_stage_without_measurement_leaves_the_sum_unknown(tmp_path):
     measured(tmp_path, "fusion", "hall-oracle", 5.5, 700.0)
-    costs = read_costs(tmp_path, RUN)
+    costs = read_costs(cost_files(tmp_path, RUN))
     assert costs["train_s"] is None
     assert costs["warmup_s"] is None
     assert costs["fusion_s"] == 5.5
     assert costs["peak_memory_mb"] == 700.0
-    assert read_costs(tmp_path / "nowhere", RUN)["peak_memory_mb"] is None
+    assert read_costs(cost_files(tmp_path / "nowhere", RUN))["peak_memory_mb"] is None
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"seconds": 1}'])
@@ -50,7 +50,7 @@ def test_a_damaged_measurement_is_named(tmp_path, text):
     path = measured(tmp_path, "fusion", "hall-oracle", 1.0, 1.0)
     path.write_text(text)
     with pytest.raises(ArtifactError, match=r"fusion/hall-oracle.json"):
-        read_costs(tmp_path, RUN)
+        read_costs(cost_files(tmp_path, RUN))
 
 
 ITEMS = {"warmup": "hall-sharp-plain", "trajectory": "hall-oracle", "fusion": "hall-oracle"}
@@ -70,7 +70,7 @@ def kept(folder, snapshots):
 
 
 def test_seconds_go_on_from_stage_to_stage(tmp_path):
-    told = with_seconds(kept(tmp_path, SNAPSHOTS), tmp_path, RUN)
+    told = with_seconds(kept(tmp_path, SNAPSHOTS), cost_files(tmp_path, RUN))
     assert [point["seconds"] for point in told["points"]] == [1.0, 3.5, 9.0, 10.5]
     assert told["disk_mb"] == 1.0
 
@@ -78,7 +78,7 @@ def test_seconds_go_on_from_stage_to_stage(tmp_path):
 def test_without_snapshots_there_are_the_ends_of_stages(tmp_path):
     kept(tmp_path, dict.fromkeys(ITEMS, ()))
     ends = [{"stage": "trajectory", "iteration": 7}, {"stage": "fusion", "iteration": 8}]
-    told = with_seconds({"points": ends}, tmp_path, RUN)
+    told = with_seconds({"points": ends}, cost_files(tmp_path, RUN))
     assert [point["seconds"] for point in told["points"]] == [10.0, 12.0]
 
 
@@ -87,7 +87,7 @@ def test_times_of_another_run_than_the_timeline_are_refused(tmp_path):
     curve["points"][2]["iteration"] = 5
     message = r"trajectory/hall-oracle\.json knows no snapshot of iteration 5; .* `dvc repro`"
     with pytest.raises(ArtifactError, match=message):
-        with_seconds(curve, tmp_path, RUN)
+        with_seconds(curve, cost_files(tmp_path, RUN))
 
 
 @pytest.mark.parametrize("seconds", ["1.0", "nan", [1.0], None, 10**400])
@@ -98,4 +98,4 @@ def test_times_that_are_no_numbers_are_named(tmp_path, seconds, where):
     cost = {"seconds": seconds if where == "stage" else 1.0, "snapshots": taken}
     (tmp_path / "trajectory/hall-oracle.json").write_text(json.dumps(cost))
     with pytest.raises(ArtifactError, match=r"trajectory/hall-oracle\.json"):
-        with_seconds(curve, tmp_path, RUN)
+        with_seconds(curve, cost_files(tmp_path, RUN))

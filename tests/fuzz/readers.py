@@ -43,7 +43,7 @@ from deblur_avatar.config.reading import read_yaml
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.evaluation.costs import (
     STAGES,
-    cost_file,
+    cost_files,
     read_costs,
     with_seconds,
 )
@@ -155,18 +155,18 @@ def _write_metrics(folder: Path) -> None:
 def _write_costs(folder: Path) -> None:
     cost = {"seconds": 1.5, "peak_memory_mb": 300.0}
     for stage in STAGES:
-        run.write_json(cost_file(folder, stage, _RUN), cost)
+        run.write_json(cost_files(folder, _RUN)[stage], cost)
 
 
 def _write_moments(folder: Path) -> None:
     cost = {"seconds": 1.5, "snapshots": [{"iteration": 3, "seconds": 0.5}]}
     for stage in STAGES:
-        run.write_json(cost_file(folder, stage, _RUN), cost)
+        run.write_json(cost_files(folder, _RUN)[stage], cost)
 
 
 def _moments(folder: Path) -> object:
     points = [{"stage": stage, "iteration": 3} for stage in STAGES]
-    return with_seconds({"points": points}, folder, _RUN)
+    return with_seconds({"points": points}, cost_files(folder, _RUN))
 
 
 def _write_snapshots(folder: Path) -> None:
@@ -554,7 +554,7 @@ READERS: tuple[Reader, ...] = (
     Reader("own avatar", _write_avatar, _avatar),
     Reader("numbers of a stage", _write_numbers, lambda f: run.read_json(f / "fit.json")),
     Reader("metrics", _write_metrics, lambda f: read_results(f, {"s-m": _RUN})),
-    Reader("costs", _write_costs, lambda f: read_costs(f, _RUN)),
+    Reader("costs", _write_costs, lambda f: read_costs(cost_files(f, _RUN))),
     Reader("moments", _write_moments, _moments),
     Reader("kept snapshots", _write_snapshots, lambda f: run_folder.taken_snapshots(f, (3, 6, 9))),
     Reader("views", _write_views, lambda f: strips_of_scene({"m": f}, 2)),

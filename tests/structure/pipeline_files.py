@@ -27,11 +27,12 @@ def experiments() -> list[Path]:
 
 
 def gathering() -> list[Path]:
-    """Pipelines with stages of their own: that of the ablations' tables, and the stress suite's."""
+    """Pipelines with stages of their own: of the ablations' tables, the stress suite, the proof."""
     suite = sorted(
         ROOT / "stability" / name / PIPELINE for name in ("", "agnostic", "cases", "lean", "paper")
     )
-    return [ROOT / "experiments/ablations" / PIPELINE, *suite]
+    proof = sorted((ROOT / "experiments/proof").rglob(PIPELINE))
+    return [ROOT / "experiments/ablations" / PIPELINE, *suite, *proof]
 
 
 def script_of(stage: dict[str, Any]) -> Path:

@@ -23,7 +23,7 @@ from deblur_avatar.rendering.visibility import openness
 from deblur_avatar.sources.studio.clothes import Clothed, clothe
 from deblur_avatar.sources.studio.drape import Drape, hang
 from deblur_avatar.sources.studio.motion import Moves
-from deblur_avatar.sources.studio.texture import CELLS, paint
+from deblur_avatar.sources.studio.texture import CELLS, LookParams, paint
 
 SKY_RAYS = 48  # a vertex, for the shade in its hollows
 DARKEST = 0.35  # what is left of the light at the bottom of a hollow
@@ -50,7 +50,7 @@ class Person:
             yield self.drape.skinned(transform, bend, swung)
 
 
-def create_person(body: Body, betas: Float[Tensor, " B"]) -> Person:
+def create_person(body: Body, betas: Float[Tensor, " B"], look: LookParams | None = None) -> Person:
     """Shape, clothe and paint a person; hollows are darkened once, in the rest pose."""
     clothed = clothe(
         shaped_vertices(body, betas).double().numpy(),
@@ -58,7 +58,7 @@ def create_person(body: Body, betas: Float[Tensor, " B"]) -> Person:
         body.lbs_weights.double().numpy(),
         body.faces.numpy(),
     )
-    albedo = paint(clothed) * _shade(clothed)[..., None]
+    albedo = paint(clothed, look) * _shade(clothed)[..., None]
     return Person(
         body, betas, TexturedMesh(clothed.surface.faces.astype(np.int32), albedo), hang(clothed)
     )

@@ -274,7 +274,8 @@ def _stacked(images: Sequence[UInt8[np.ndarray, "*image"]]) -> UInt8[Tensor, "F 
 
 def _at(moves: Moves, frames: tuple[int, ...]) -> Moves:
     chosen = list(frames)
-    return Moves(moves.global_orient[chosen], moves.body_pose[chosen], moves.transl[chosen])
+    swing = None if moves.swing is None else moves.swing[chosen]
+    return Moves(moves.global_orient[chosen], moves.body_pose[chosen], moves.transl[chosen], swing)
 
 
 def _poses(moves: Moves, betas: Float[Tensor, " B"]) -> Poses:

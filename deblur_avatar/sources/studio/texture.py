@@ -4,10 +4,14 @@ Conventions. Patterns are written in sRGB and handed over as linear light. Metre
 +Z. N places.
 """
 
+from typing import Annotated
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32
+from pydantic import Field
 
+from deblur_avatar.config.section import Fraction, Params, Positive
 from deblur_avatar.imaging.color import srgb_to_linear
 from deblur_avatar.rendering.mesh_rendering import cell_middles, used_cells
 from deblur_avatar.sources.studio.clothes import PIECES, Clothed
@@ -37,8 +41,20 @@ Colours = Float[np.ndarray, "N 3"]
 Places = Float[np.ndarray, "N 3"]
 
 
-def paint(clothed: Clothed) -> Float32[np.ndarray, "T R R 3"]:
-    """Colour every cell of every triangle: linear light, R = `CELLS`."""
+Channel = Annotated[int, Field(ge=0, le=2)]
+
+
+class LookParams(Params):
+    """How another person's colours differ from the studio's: dyed, printed cloth, other skin."""
+
+    dye: tuple[Channel, Channel, Channel]  # which of red, green, blue each channel of cloth shows
+    print_depth: Fraction  # share of the light that a mottled print takes from cloth
+    print_m: Positive  # metres from one spot of it to the next
+    tan: Fraction  # share of the light that skin takes
+
+
+def paint(clothed: Clothed, look: LookParams | None = None) -> Float32[np.ndarray, "T R R 3"]:
+    """Colour every cell of every triangle: linear light, R = `CELLS`; no look is the studio's."""
     surface, (u, v) = clothed.surface, cell_middles(CELLS)
     a, b, c = (surface.vertices[surface.faces[:, corner]] for corner in range(3))
     places = a[:, None] + u[:, None] * (b - a)[:, None] + v[:, None] * (c - a)[:, None]
@@ -49,11 +65,22 @@ def paint(clothed: Clothed) -> Float32[np.ndarray, "T R R 3"]:
         flat = places[chosen].reshape(-1, 3)
         outward = np.repeat(facing[chosen], len(u), axis=0)
         colours = _PAINTERS[piece](flat, outward, clothed.landmarks)
+        if look is not None:
+            colours = _changed(colours, piece, flat, look)
         srgb[chosen] = colours.reshape(-1, len(u), 3)
     linear = srgb_to_linear(torch.from_numpy(srgb.clip(0, 1))).numpy()
     table = np.zeros((len(a), CELLS, CELLS, 3), np.float32)
     table[:, *used_cells(CELLS)] = linear
     return table
+
+
+def _changed(colours: Colours, piece: str, places: Places, look: LookParams) -> Colours:
+    if piece == "skin":
+        return colours * (1 - look.tan)
+    if piece == "hair":
+        return colours
+    spots = 0.5 + 0.5 * _mottle(places, look.print_m)
+    return colours[:, list(look.dye)] * (1 - look.print_depth * spots)[:, None]
 
 
 def _skin(places: Places, outward: Places, marks: Landmarks) -> Colours:

@@ -1,0 +1,124 @@
+"""The proof's grid: what cells measured, compared within one avatar and averaged over seeds.
+
+Conventions. A *result* is a cell's metrics file with its costs, as `evaluation.recovery` has them.
+Rows are avatars, columns motions; recovery is of a method against the bounds of its own avatar, in
+its own schedule, scene and seed.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deblur_avatar import run
+from deblur_avatar.config.proof import Cell, ProofParams, cells_of, warmup_of
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.costs import read_costs, with_seconds
+from deblur_avatar.evaluation.metrics import METRICS
+from deblur_avatar.evaluation.recovery import Result, averaged, compared, standard_deviations
+
+# Columns that tables have, whether or not anybody has fitted them.
+MOTIONS = ("agnostic", "pair", "paper", "mad", "clip", "oracle", "oracle_clip", "ceiling")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is there of one cell."""
+
+    cell: Cell
+    result: Result
+    curve: Result | None
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of a grid: a mean over seeds and its scatter."""
+
+    seeds: tuple[int, ...]
+    mean: Result
+    deviation: Result
+
+
+Grid = dict[str, dict[str, Entry]]  # by avatar and motion
+
+
+def read_cells(plan: ProofParams, metrics: Path) -> list[Found]:
+    """All cells of the plan that have results.
+
+    Raises:
+        ArtifactError: if a file is damaged.
+    """
+    found = []
+    for cell in cells_of(plan).values():
+        folder = metrics / cell.scene
+        path = folder / "evaluate" / f"{cell.name}.json"
+        if not path.exists():
+            continue
+        content = run.read_json(path)
+        method = plan.columns[cell.motion].method
+        if (content.get("scene"), content.get("method")) != (cell.scene, method):
+            raise ArtifactError(f"{path} is not of {method} on {cell.scene}; run `make proof`")
+        items = {"warmup": warmup_of(cell, plan)} | dict.fromkeys(
+            ("trajectory", "fusion", "evaluate"), cell.name
+        )
+        files = {stage: folder / "cost" / stage / f"{item}.json" for stage, item in items.items()}
+        curve = folder / "learning_curve" / f"{cell.name}.json"
+        found.append(
+            Found(
+                cell,
+                content | {"cost": read_costs(files)},
+                with_seconds(run.read_json(curve), files) if curve.exists() else None,
+            )
+        )
+    return found
+
+
+def grid_of(found: Sequence[Found], scene: str, schedule: str) -> Grid:
+    """One scene's grid in one schedule: recovery within each avatar and seed, then the mean."""
+    here = [one for one in found if (one.cell.scene, one.cell.schedule) == (scene, schedule)]
+    grid: Grid = {}
+    for avatar in dict.fromkeys(one.cell.avatar for one in here):
+        seeds: dict[int, dict[str, Result]] = {}
+        for one in here:
+            if one.cell.avatar == avatar:
+                seeds.setdefault(one.cell.seed, {})[one.cell.motion] = one.result
+        results = {seed: compared(motions) for seed, motions in seeds.items()}
+        grid[avatar] = {
+            motion: _entry({s: r[motion] for s, r in results.items() if motion in r})
+            for motion in dict.fromkeys(m for motions in seeds.values() for m in motions)
+        }
+    return grid
+
+
+def _entry(results: Mapping[int, Result]) -> Entry:
+    every = list(results.values())
+    return Entry(tuple(sorted(results)), averaged(every), standard_deviations(every))
+
+
+def schedules_of(found: Sequence[Found], scene: str) -> list[str]:
+    """The schedules that a scene has cells in, those with most cells first."""
+    names = [one.cell.schedule for one in found if one.cell.scene == scene]
+    return sorted(dict.fromkeys(names), key=lambda name: -names.count(name))
+
+
+def numbers_of(entry: Entry | None) -> dict[str, Any] | None:
+    """An entry as `summary.json` has it; None for a cell that nobody fitted."""
+    if entry is None:
+        return None
+    mean, scatter = entry.mean, entry.deviation
+    images = {
+        row.name: {
+            "mean": (mean.get("image") or {}).get(row.name),
+            "std": (scatter.get("image") or {}).get(row.name),
+        }
+        for row in METRICS
+    }
+    return {
+        **images,
+        "recovery": mean["recovery"],
+        "recovery_std": scatter.get("recovery") or {},
+        "gap_to_ceiling_db": mean["gap_to_ceiling_db"],
+        "train_s": mean["cost"]["train_s"],
+        "gaussians": mean["model"]["gaussians"],
+        "seeds": list(entry.seeds),
+    }

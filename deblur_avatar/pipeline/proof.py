@@ -1,0 +1,267 @@
+"""The proof: every avatar with every motion, on scenes that no setting was chosen on.
+
+Recovery is taken within each avatar, scene, schedule and seed. Cells that nobody has fitted are
+null. Equal results give equal bytes.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deblur_avatar import run
+from deblur_avatar.config.proof import ProofParams
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.proof_grid import (
+    MOTIONS,
+    Found,
+    Grid,
+    grid_of,
+    numbers_of,
+    read_cells,
+    schedules_of,
+)
+from deblur_avatar.reporting.charts import drawn
+from deblur_avatar.reporting.page import picture_uri, render_page
+from deblur_avatar.reporting.picture_strips import Strip, strips_of_scene
+from deblur_avatar.reporting.proof_charts import quality_chart
+from deblur_avatar.reporting.proof_tables import (
+    MAIN,
+    UNFITTED,
+    UNKNOWN,
+    convergence_table,
+    cost_table,
+    curve_of,
+    grid_table,
+    windows_table,
+)
+from deblur_avatar.reporting.results_table import Table, look_up, markdown, plain
+
+TEMPLATE = Path(__file__).parent / "proof.html.jinja"
+GRIDS = ("psnr_seen", "psnr", "flip")
+STRIP = ("agnostic", "paper", "clip")  # of each avatar, where it was fitted
+CHART = "quality_over_time"
+QUALITY = "PSNR of the seen surface, dB"
+
+
+@dataclass(frozen=True)
+class ProofReport:
+    """A page, its tables for reading in a repository, and the numbers behind them."""
+
+    page: str
+    tables: str
+    summary: dict[str, Any]
+    charts: dict[str, bytes]  # files by name
+    log: str
+
+    def save(self, folder: Path) -> None:
+        """Write `index.html`, `tables.md`, `summary.json`, and the chart with its rows.
+
+        Raises:
+            ArtifactError: if the disk refuses.
+        """
+        files = {"index.html": self.page.encode(), "tables.md": self.tables.encode()}
+        for file, content in (files | self.charts).items():
+            run.write_bytes(folder / file, content)
+        run.write_json(folder / "summary.json", self.summary)
+
+
+def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofReport:
+    """Gather what the cells of a plan left.
+
+    Args:
+        plan: what was to be fitted.
+        metrics: `<scene>/<stage>/<cell>.json` and `<scene>/cost/<stage>/<cell>.json`.
+        pictures: `<scene>/evaluate/<cell>`; scenes without them have no strips.
+
+    Raises:
+        ArtifactError: if no cell has results, or a file is damaged.
+    """
+    found = read_cells(plan, metrics)
+    if not found:
+        raise ArtifactError(f"no results in {metrics}; run `make proof`")
+    grids = _grids(plan, found)
+    whole = {scene: grid for scene, grid in grids.items() if scene not in _windowed(plan)}
+    windows = _windows(plan, grids)
+    converged = _converged(plan, found)
+    curves = {scene: kept for scene in whole if (kept := _curves(found, scene))}
+    quality = drawn(CHART, lambda: quality_chart(curves, QUALITY)) if curves else {}
+    tables = {scene: _tables(scene, grid) for scene, grid in whole.items()}
+    page = render_page(
+        TEMPLATE,
+        about=_about(plan, found),
+        figures=_figures(plan, whole),
+        quiet=(UNFITTED, UNKNOWN),
+        scenes=[
+            {
+                "name": scene,
+                "about": _about_scene(plan, found, scene),
+                "tables": tables[scene],
+                "strips": _on_page(_strips(plan, found, scene, pictures)),
+            }
+            for scene in whole
+        ],
+        windows=windows,
+        converged=converged,
+        quality=quality[f"{CHART}.svg"].decode() if quality else "",
+    )
+    every = [*(t for of_scene in tables.values() for t in of_scene), *windows, *converged]
+    return ProofReport(
+        page=page,
+        tables="\n".join(_markdown(given) for given in every),
+        summary=_summary(plan, grids),
+        charts={**quality, f"{CHART}.json": _rows(curves)},
+        log="\n\n".join(f"{t.title}\n{plain(t)}" for t in (of[0] for of in tables.values())),
+    )
+
+
+def _grids(plan: ProofParams, found: Sequence[Found]) -> dict[str, Grid]:
+    """Each scene's grid in the schedule that most of its cells have."""
+    return {
+        scene: grid_of(found, scene, schedules[0])
+        for scene in plan.scenes
+        if (schedules := schedules_of(found, scene))
+    }
+
+
+def _windowed(plan: ProofParams) -> set[str]:
+    """Scenes that another is seen in a longer or shorter exposure in."""
+    return {s for scene, group in plan.windows.items() for s in group.values() if s != scene}
+
+
+def _windows(plan: ProofParams, grids: Mapping[str, Grid]) -> list[Table]:
+    tables = []
+    for scene, group in plan.windows.items():
+        there = {window: grids[name] for window, name in sorted(group.items()) if name in grids}
+        if len(there) > 1:
+            tables.append(windows_table(there, MAIN, f"{scene}: windows of sub-frames of 1/480 s"))
+    return tables
+
+
+def _converged(plan: ProofParams, found: Sequence[Found]) -> list[Table]:
+    """What longer schedules and the second half of each fit still brought."""
+    return [
+        convergence_table([one for one in found if one.cell.scene == scene], scene)
+        for scene in plan.scenes
+        if scene not in _windowed(plan) and schedules_of(found, scene)
+    ]
+
+
+def _tables(scene: str, grid: Grid) -> list[Table]:
+    return [
+        *(grid_table(grid, name, f"{scene}: {name}") for name in GRIDS),
+        cost_table(grid, f"{scene}: what it took"),
+    ]
+
+
+def _curves(found: Sequence[Found], scene: str) -> dict[str, dict[str, list[tuple[float, float]]]]:
+    """Seconds and quality of the snapshots of the first seed, in the scene's main schedule."""
+    schedule = schedules_of(found, scene)[0]
+    curves: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    for one in found:
+        cell = one.cell
+        if (cell.scene, cell.schedule) == (scene, schedule) and (curve := curve_of(one)):
+            curves.setdefault(cell.avatar, {}).setdefault(cell.motion, curve)
+    return curves
+
+
+def _rows(curves: Mapping[str, Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]]) -> bytes:
+    rows = [
+        {"scene": scene, "avatar": avatar, "motion": motion, "training_s": round(seconds, 2),
+         "psnr_seen_db": round(psnr, 3)}
+        for scene, avatars in curves.items()
+        for avatar, motions in avatars.items()
+        for motion, curve in motions.items()
+        for seconds, psnr in curve
+    ]  # fmt: skip
+    return (json.dumps(rows, indent=1) + "\n").encode()
+
+
+def _summary(plan: ProofParams, grids: Mapping[str, Grid]) -> dict[str, Any]:
+    return {
+        "scenes": {
+            scene: {
+                "kind": plan.scenes[scene].kind,
+                "grid": {
+                    avatar: {m: numbers_of(grid.get(avatar, {}).get(m)) for m in MOTIONS}
+                    for avatar in plan.avatars
+                },
+            }
+            for scene, grid in grids.items()
+        }
+    }
+
+
+def _about(plan: ProofParams, found: Sequence[Found]) -> str:
+    report = [scene for scene, of in plan.scenes.items() if of.kind == "report"]
+    shown = len({one.cell.scene for one in found} & set(report) - _windowed(plan))
+    return (
+        f"{len(plan.avatars)} avatars, {len(plan.columns)} motions, {len(found)} fits; "
+        f"{shown} report scenes, on which no setting was chosen and whose truth is not the "
+        "fitter's own model. Recovery is taken within one avatar."
+    )
+
+
+def _about_scene(plan: ProofParams, found: Sequence[Found], scene: str) -> str:
+    kind = {
+        "report": "A report scene: made once, run once with frozen settings.",
+        "tuning": "A tuning scene: settings were chosen on it, so its figures prove nothing.",
+    }[plan.scenes[scene].kind]
+    here = [one.cell for one in found if one.cell.scene == scene]
+    seeds = sorted({cell.seed for cell in here})
+    schedule = schedules_of(found, scene)[0]
+    iterations = next(one.result["run"]["iterations"] for one in found
+                      if (one.cell.scene, one.cell.schedule) == (scene, schedule))  # fmt: skip
+    spread = f"; {len(seeds)} seeds where a \u00b1 stands" if len(seeds) > 1 else "; one seed"
+    return f"{kind} {iterations:,} iterations ({schedule}){spread}."
+
+
+def _figures(plan: ProofParams, grids: Mapping[str, Grid]) -> list[dict[str, str]]:
+    """What each avatar's best motion wins back on each report scene."""
+    figures = []
+    for scene, grid in grids.items():
+        if plan.scenes[scene].kind != "report":
+            continue
+        for avatar, entries in grid.items():
+            shares = {
+                motion: share
+                for motion in ("pair", "paper", "mad", "clip")
+                if motion in entries
+                and (share := look_up(entries[motion].mean, ("recovery", MAIN))) is not None
+            }
+            if shares:
+                best = max(shares, key=lambda motion: shares[motion])
+                number = f"{shares[best]:.2f}".replace("-", "\u2212")
+                figures.append(
+                    {"number": number, "caption": f"{scene}, {avatar}: {best} wins back"}
+                )
+    return figures
+
+
+def _strips(plan: ProofParams, found: Sequence[Found], scene: str, pictures: Path) -> list[Strip]:
+    folders: dict[str, Path] = {}
+    for one in found:
+        cell = one.cell
+        folder = pictures / scene / "evaluate" / cell.name
+        shown = cell.scene == scene and cell.motion in STRIP
+        if shown and cell.schedule == schedules_of(found, scene)[0] and folder.is_dir():
+            folders.setdefault(f"{cell.avatar} {cell.motion}", folder)
+    return strips_of_scene(folders, plan.strips) if folders else []
+
+
+def _on_page(strips: Sequence[Strip]) -> list[dict[str, Any]]:
+    return [
+        {
+            "caption": strip.caption,
+            "pictures": [
+                {"label": label, "uri": picture_uri(picture)}
+                for label, picture in strip.pictures.items()
+            ],
+        }
+        for strip in strips
+    ]
+
+
+def _markdown(given: Table) -> str:
+    return f"### {given.title}\n\n{markdown(given)}\n{given.note}\n"

@@ -1,0 +1,74 @@
+"""The proof's chart: quality of every cell over seconds of training.
+
+Conventions. A curve is of (seconds, quality) at each snapshot. The Pareto front is over the
+snapshots of all cells of a scene that saw blurred frames.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deblur_avatar.reporting.charts import COLORS, INK, lay_out, legend, panels
+from deblur_avatar.reporting.proof_tables import SETTLED, SHARP, settled_s
+from deblur_avatar.reporting.speed_accuracy import pareto_front
+
+Curve = Sequence[tuple[float, float]]
+Curves = Mapping[str, Mapping[str, Curve]]  # by avatar and motion
+
+
+def quality_chart(scenes: Mapping[str, Curves], quality: str) -> Figure:
+    """A row a scene, a column an avatar.
+
+    Dashed: cells that saw sharp frames. Ringed: where a cell reaches `SETTLED` of its final
+    quality. Dotted: the Pareto front of both avatars' cells.
+
+    Args:
+        scenes: curves by scene.
+        quality: what the curves are of, with its unit.
+    """
+    avatars = list(dict.fromkeys(avatar for curves in scenes.values() for avatar in curves))
+    motions = {m for curves in scenes.values() for every in curves.values() for m in every}
+    colors = {motion: COLORS[motion] for motion in COLORS if motion in motions}
+    figure, axes = panels(len(scenes), len(avatars), named=True)
+    for line, (scene, curves) in zip(axes, scenes.items(), strict=True):
+        front = front_of(curves)
+        for panel, avatar in zip(line, avatars, strict=True):
+            panel.step(*zip(*front, strict=True), where="post", color=INK, lw=1.0,
+                       ls=(0, (1, 2))) if front else None  # fmt: skip
+            for motion, curve in curves.get(avatar, {}).items():
+                _draw(panel, curve, colors[motion], sharp=motion in SHARP)
+            panel.set(title=f"{scene}, {avatar}", xlabel="training, seconds", ylabel=quality,
+                      xscale="log")  # fmt: skip
+            panel.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+            panel.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+            panel.xaxis.set_minor_locator(ticker.NullLocator())
+        for panel in line[1:]:
+            panel.sharey(line[0])
+            panel.sharex(line[0])
+    legend(figure, colors)
+    lay_out(figure)
+    return figure
+
+
+def front_of(curves: Curves) -> list[tuple[float, float]]:
+    """The best that any cell that saw blur has reached, over time."""
+    points = {
+        f"{avatar}-{motion}-{index}": point
+        for avatar, every in curves.items()
+        for motion, curve in every.items()
+        if motion not in SHARP
+        for index, point in enumerate(curve)
+    }
+    return [points[name] for name in pareto_front(points)]
+
+
+def _draw(panel: Axes, curve: Curve, color: str, *, sharp: bool) -> None:
+    panel.plot(
+        *zip(*curve, strict=True), color=color, marker="o", ms=3.5, lw=1.6,
+        ls=(0, (4, 2.5)) if sharp else "-",
+    )  # fmt: skip
+    seconds = settled_s(curve)
+    if seconds is not None:
+        panel.plot(seconds, SETTLED * curve[-1][1], "o", ms=10, mfc="none", mec=color, mew=1.4)
