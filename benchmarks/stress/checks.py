@@ -1,22 +1,21 @@
 """Checks: what the rules of the stress suite are made of.
 
-A check is one number and the limits that it must keep. It is made of one severity of a mode, as one
-method went through it, beside what `agnostic` made of it and what the ceiling reaches. Scores, dB.
+A rule is rows of two kinds. A `Limit` holds one quantity between two numbers; a `Fact` must be so.
+Both say where they apply, so that a rule is a table and every number in it can be changed by a
+test. They judge a `Case`: one severity of a mode, as one method went through it, beside what
+`agnostic` made of it and what the ceiling reaches. Scores are PSNR over the seen surface, dB.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from benchmarks.stress.params import SeverityParams
-from deblur_avatar.evaluation.recovery import share_won_back
 
 Row = Mapping[str, Any]
 
 AGNOSTIC = "agnostic"
-# dB between two fits that differ in nothing that matters (the `seeds` mode: 0.05 to 0.2)
-SCATTER = 0.1
 
 
 @dataclass(frozen=True)
@@ -49,20 +48,98 @@ class Check:
 
 @dataclass(frozen=True)
 class Case:
-    """One severity of one mode, as one method went through it."""
+    """One severity of one mode, as one method went through it.
+
+    Attributes:
+        method: its name.
+        severity: what was done to the scene and to the fit.
+        row: what was measured.
+        agnostic: the same of `agnostic`, with the same avatar, and in `oracle` of its recipe on
+            the sharp frames.
+        ceiling: of sharp frames and exact poses on this scene, with the same avatar.
+        clean: the method on the clean scene.
+        clean_ceiling: the ceiling of the clean scene.
+        before: what came before it in the mode, with the same avatar.
+    """
 
     method: str
     severity: SeverityParams
     row: Row
     agnostic: Row
     ceiling: Row
-    clean: Row  # the method on the clean scene
-    before: tuple[Row, ...]  # the milder severities
+    clean: Row
+    clean_ceiling: Row
+    before: tuple[Row, ...]
 
     @property
     def score(self) -> float | None:
         """PSNR over the seen surface, dB; None where no avatar came out."""
         return self.row.get("score")
+
+    @property
+    def amount(self) -> float:
+        """How much of its first damage the severity does; 0 where it does none."""
+        return next(iter(self.severity.damage.values()), 0.0)
+
+
+Where = Callable[[Case], bool]
+
+
+def everywhere(case: Case) -> bool:
+    """At every severity, for every method."""
+    return True
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that limits are about; None where it was not measured."""
+
+    what: str
+    of: Callable[[Case], float | None]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Between which numbers a quantity must lie; without any it is only told.
+
+    `level` restricts it to the severities of that level, `where` further.
+    """
+
+    quantity: Quantity
+    minimum: float | None = None
+    maximum: float | None = None
+    level: Literal["mild", "severe"] | None = None
+    where: Where = field(default=everywhere)
+
+    def applies(self, case: Case) -> bool:
+        """Whether this is asked of a case."""
+        return self.level in (None, case.severity.level) and self.where(case)
+
+    def check(self, case: Case) -> Check:
+        """The quantity of this case beside the limits."""
+        return Check(self.quantity.what, self.quantity.of(case), self.minimum, self.maximum)
+
+
+@dataclass(frozen=True)
+class Fact:
+    """What must be so: there is no number to it."""
+
+    what: str
+    holds: Callable[[Case], bool]
+    where: Where = field(default=everywhere)
+
+    def applies(self, case: Case) -> bool:
+        """Whether this is asked of a case."""
+        return self.where(case)
+
+    def check(self, case: Case) -> Check:
+        """1 where it is so, 0 where not; with why, where the pipeline refused."""
+        holds, why = self.holds(case), case.row.get("refused")
+        reason = f" ({why})" if why and not holds else ""
+        return Check(self.what + reason, float(holds), minimum=1.0)
+
+
+Rule = tuple[Limit | Fact, ...]
 
 
 def minus(value: float | None, other: float | None) -> float | None:
@@ -73,45 +150,3 @@ def minus(value: float | None, other: float | None) -> float | None:
 def ratio(value: int | float | None, other: int | float | None) -> float | None:
     """The quotient; None where one was not measured or the second is nought."""
     return None if value is None or not other else value / other
-
-
-def came_out(case: Case) -> Check:
-    """An avatar with finite numbers came out."""
-    reason = f" ({case.row['refused']})" if case.row.get("refused") else ""
-    return Check(f"avatars that came out{reason}", float(bool(case.row.get("finite"))), minimum=1.0)
-
-
-def refused(case: Case) -> Check:
-    """The pipeline said no, with an error of its own."""
-    return Check("refused with a message", float(bool(case.row.get("refused"))), minimum=1.0)
-
-
-def above_agnostic(
-    case: Case, margin: float, key: str = "score", name: str = "score", drop: float = 3.0
-) -> Check:
-    """Not worse than without a model of blur by `margin`; for `agnostic` its own clean `drop`."""
-    if case.method == AGNOSTIC:
-        change = minus(case.row.get(key), case.clean.get(key))
-        return Check(f"{name} minus the clean scene's", change, minimum=-drop)
-    gain = minus(case.row.get(key), case.agnostic.get(key))
-    return Check(f"{name} minus agnostic's", gain, minimum=margin)
-
-
-def drop_from_clean(case: Case, maximum: float) -> Check:
-    """At most so many decibels below the clean scene."""
-    lost = minus(case.clean.get("score"), case.score)
-    return Check("dB lost against the clean scene", lost, maximum=maximum)
-
-
-def recovery(
-    case: Case, bound: Row | None = None, key: str = "score", name: str = "recovery"
-) -> Check:
-    """Which share of what blur costs is won back, against a bound: the ceiling, or another."""
-    bound = case.ceiling if bound is None else bound
-    share = share_won_back(case.row.get(key), case.agnostic.get(key), bound.get(key))
-    return Check(name, share)
-
-
-def amount(case: Case) -> float:
-    """How much of its one damage the severity does."""
-    return next(iter(case.severity.damage.values()), 0.0)

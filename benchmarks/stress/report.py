@@ -1,7 +1,8 @@
 """The stress report: rules applied to what was measured, on one page.
 
 Measuring and judging are apart, so that a changed rule costs seconds. A mode is passed if every
-severity is; a severity that does not apply to a method counts for nothing.
+severity is. A severity that does not apply to a method, or changed not one byte of its avatar,
+counts for nothing; nor does a mode of which none counts.
 """
 
 import statistics
@@ -29,7 +30,9 @@ from deblur_avatar.reporting.picture_strips import (
 from deblur_avatar.reporting.results_table import Cell, Column, Table
 
 TEMPLATE = Path(__file__).parent / "report.html.jinja"
-CLEAN = ("seeds", "seed 0")  # the mode and severity in which nothing is wrong
+CLEAN = "seeds"  # the mode of the scene that nothing is wrong with, and its severities:
+CLEAN_SEVERITIES = {"plain": "clean", "networks": "clean, networks"}  # by avatar
+HARMLESS = {"networks", "draws", "seed", "no_oracle", "blend", "instants"}  # ways to ask for a fit
 DARKEST, BRIGHTEST = 8.0, 19.0  # dB between which the heat map's colours run
 ENLARGED = 2  # times, of the worst pictures
 
@@ -40,7 +43,7 @@ Rows = Mapping[str, Mapping[str, Mapping[str, Mapping[str, Any]]]]  # mode, meth
 class Verdict:
     """How one method did in one mode."""
 
-    passed: bool
+    passed: bool | None  # None: no severity counts
     sentence: str
     severities: dict[str, dict[str, Any]]  # score, draws, passed (None: does not apply), checks
 
@@ -97,9 +100,9 @@ def _read(modes: Mapping[str, ModeParams], items: Path) -> tuple[Rows, list[str]
         found = {path.parent.name.removeprefix(f"{mode}-"): run.read_json(path) for path in folders}
         if AGNOSTIC in found:
             rows[mode] = found
-    if CLEAN[0] not in rows:
+    if CLEAN not in rows:
         raise ArtifactError(
-            f"no {CLEAN[0]}-{AGNOSTIC} in {items}, which rules compare with; "
+            f"no {CLEAN}-{AGNOSTIC} in {items}, which rules compare with; "
             "run `dvc repro stability/dvc.yaml`"
         )
     known = {method for found in rows.values() for method in found}
@@ -113,24 +116,61 @@ def _verdict(
     rows: Rows,
     ceilings: Mapping[str, Mapping[str, Any]],
 ) -> Verdict:
-    clean = rows[CLEAN[0]].get(method, {}).get(CLEAN[1], {})
     of_severities: dict[str, dict[str, Any]] = {}
-    before: list[Mapping[str, Any]] = []
+    before: dict[str, list[Mapping[str, Any]]] = {avatar: [] for avatar in CLEAN_SEVERITIES}
     for label, severity in params.severities.items():
         row = rows[mode][method].get(label)
         if row is None:
             raise ArtifactError(f"{mode}-{method} lacks {label!r}; run `dvc repro`")
-        if "skipped" in row:
-            of_severities[label] = {"score": None, "passed": None, "checks": [row["skipped"]]}
+        avatar = "networks" if "networks" in severity.fit else "plain"
+        clean = rows[CLEAN].get(method, {}).get(CLEAN_SEVERITIES[avatar], {})
+        skipped = row.get("skipped") or _changed_nothing(severity, row, clean)
+        if skipped:
+            of_severities[label] = {"score": None, "passed": None, "checks": [skipped]}
             continue
-        agnostic = rows[mode][AGNOSTIC].get(label, {})
-        case = Case(method, severity, row, agnostic, ceilings[severity.scene], clean, tuple(before))
-        of_severities[label] = _judged(judge(mode, case), case, severity)
-        before.append(row)
+        case = Case(
+            method=method, severity=severity, row=row,
+            agnostic=_agnostic(rows, mode, label, severity, avatar),
+            ceiling=ceilings[severity.scene][avatar], clean=clean,
+            clean_ceiling=_clean_ceiling(clean, ceilings, avatar),
+            before=tuple(before[avatar]),
+        )  # fmt: skip
+        of_severities[label] = _judged(judge(mode, case), case)
+        before[avatar].append(row)
     return _concluded(of_severities)
 
 
-def _judged(checks: Sequence[Check], case: Case, severity: SeverityParams) -> dict[str, Any]:
+def _agnostic(
+    rows: Rows, mode: str, label: str, severity: SeverityParams, avatar: str
+) -> Mapping[str, Any]:
+    """What `agnostic` made of a severity; of the clean scene, where fitting alone is disturbed in a
+    way that is nothing to it.
+    """
+    row = rows[mode][AGNOSTIC].get(label, {})
+    if "skipped" in row and not severity.damage:
+        return rows[CLEAN][AGNOSTIC].get(CLEAN_SEVERITIES[avatar], {})
+    return row
+
+
+def _clean_ceiling(
+    clean: Mapping[str, Any], ceilings: Mapping[str, Mapping[str, Any]], avatar: str
+) -> Mapping[str, Any]:
+    """The ceiling of the scene that a method's clean row is of; nothing without such a row."""
+    return ceilings[clean["scene"]][avatar] if clean else {}
+
+
+def _changed_nothing(
+    severity: SeverityParams, row: Mapping[str, Any], clean: Mapping[str, Any]
+) -> str | None:
+    """Why a severity that would do harm tells nothing: the avatar is the clean scene's."""
+    does_harm = severity.damage or set(severity.fit) - HARMLESS
+    digest = row.get("digest")
+    if not does_harm or digest is None or digest != clean.get("digest"):
+        return None
+    return "this changed nothing: the avatar is the clean scene's, byte for byte"
+
+
+def _judged(checks: Sequence[Check], case: Case) -> dict[str, Any]:
     passed = all(check.passed for check in checks)
     return {
         "score": case.score,
@@ -147,6 +187,8 @@ def _judged(checks: Sequence[Check], case: Case, severity: SeverityParams) -> di
 def _concluded(severities: dict[str, dict[str, Any]]) -> Verdict:
     """The mode as a whole, in one sentence."""
     failed = {label: entry for label, entry in severities.items() if entry["passed"] is False}
+    if all(entry["passed"] is None for entry in severities.values()):
+        return Verdict(None, "Does not apply.", severities)
     if not failed:
         return Verdict(True, "Passes at every severity.", severities)
     told = "; ".join(f"at {label}, {entry['failed'][0]}" for label, entry in failed.items())
@@ -159,21 +201,22 @@ def _summary(
     rows: Rows,
     methods: Sequence[str],
 ) -> dict[str, Any]:
-    passed = {
-        method: sum(of[method].passed for of in verdicts.values() if method in of)
+    judged = {
+        method: [of[method].passed for of in verdicts.values() if method in of]
         for method in methods
     }
     lost = {
         method: [m for m, of in verdicts.items()
-                 if method in of and of[AGNOSTIC].passed and not of[method].passed]
+                 if method in of and of[AGNOSTIC].passed and of[method].passed is False]
         for method in methods
     }  # fmt: skip
     return {
         "modes": len(verdicts),
-        "passed": passed,
+        "passed": {method: found.count(True) for method, found in judged.items()},
+        "does_not_apply": {method: found.count(None) for method, found in judged.items()},
         "failed_though_agnostic_passes": lost,
         "spread_over_seeds_db": {
-            method: _spread(rows[CLEAN[0]].get(method, {})) for method in methods
+            method: _spread(rows[CLEAN].get(method, {})) for method in methods
         },
         "verdicts": {
             mode: {
@@ -186,9 +229,9 @@ def _summary(
 
 
 def _spread(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
-    """Mean and standard deviation of the clean scene's score over seeds."""
-    drawn = {row["digest"]: row["score"] for row in rows.values() if row.get("digest")}
-    scores = list(drawn.values())
+    """Mean and standard deviation of the clean scene's score over draws, without networks."""
+    shown = [row for label, row in rows.items() if label != CLEAN_SEVERITIES["networks"]]
+    scores = list(dict.fromkeys(score for row in shown for score in row.get("scores", ())))
     return {
         "mean": statistics.mean(scores) if scores else None,
         "deviation": statistics.stdev(scores) if len(scores) > 1 else None,
@@ -214,7 +257,7 @@ def _page(
                     "label": label,
                     "cells": [_cell(of[method].severities[label]) if method in of else None
                               for method in methods],
-                    "ceiling": ceilings[severity.scene]["score"],
+                    "ceiling": _shown_ceiling(ceilings[severity.scene], severity),
                 }
                 for label, severity in modes[mode].severities.items()
             ],
@@ -226,9 +269,15 @@ def _page(
     return render_page(TEMPLATE, modes=shown, summary=summary, methods=methods, headline=headline)
 
 
+def _shown_ceiling(ceilings: Mapping[str, Any], severity: SeverityParams) -> float:
+    score: float = ceilings["networks" if "networks" in severity.fit else "plain"]["score"]
+    return score
+
+
 def _headline(summary: Mapping[str, Any], methods: Sequence[str]) -> Table:
     rows = {
         f"modes passed, of {summary['modes']}": lambda m: str(summary["passed"][m]),
+        "do not apply": lambda m: str(summary["does_not_apply"][m]),
         "failed, though agnostic passes": lambda m: str(
             len(summary["failed_though_agnostic_passes"][m])
         ),

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.stress.fit import FitSetup, Fitted, fit_method, lengthened
+from benchmarks.stress.fit import FitSetup, fit_method, lengthened
 from benchmarks.stress.input import prepare
 from benchmarks.stress.measures import measure
 from benchmarks.stress.params import SelfCheckParams
@@ -103,12 +103,12 @@ def judge_case(case: Case, setup: FitSetup, load_scene: LoadScene) -> dict[str, 
             clip, capsule_body(), asked, setup.schedule.image_height, setup.validation_stride,
             setup.seed,
         )  # fmt: skip
-        fitted = fit_method(prepared.blurred, setup)
+        fitted = fit_method(prepared.blurred, setup, setup.plain)
     except (ConfigError, ArtifactError) as error:
         return row | {"verdict": "refused", "why": str(error), "findings": {}, "score": None}
     if spoilt and case.damage is not None:
         avatar = SPOILT[case.damage](fitted.avatar, case.amount)
-        fitted = Fitted(avatar, fitted.motion, None, None, fitted.seconds)
+        fitted = dataclasses.replace(fitted, avatar=avatar)
     content = self_check(prepared.blurred, fitted.avatar, fitted.motion, setup.device).content
     measured = measure(prepared.blurred, reference, fitted, setup.device)
     told = {

@@ -15,6 +15,7 @@ from typing import Any
 
 from benchmarks.stress.fit import (
     FitSetup,
+    Fitted,
     fit_method,
     lengthened,
 )
@@ -23,6 +24,7 @@ from benchmarks.stress.measures import (
     Measured,
     mean_of_draws,
     measure,
+    score_of,
 )
 from benchmarks.stress.params import ModeParams, SeverityParams
 from deblur_avatar import run
@@ -34,11 +36,15 @@ from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.motion.clip import EstimatedShutter
 from deblur_avatar.pipeline.check import check_scene
+from deblur_avatar.pipeline.fusion import network_params
+from deblur_avatar.pipeline.preprocess import Preprocessed
+from deblur_avatar.training.params import RecipeParams
 
 logger = logging.getLogger(__name__)
 
-FIT_KEYS = ("budget", "seed", "draws", "oracle", "estimated_shutter", "shutter_weight",
-            "exposure_gain", "start_noise", "degenerate")  # fmt: skip
+FIT_KEYS = ("budget", "seed", "draws", "networks", "blend", "instants", "no_oracle",
+            "estimated_shutter", "shutter_weight", "exposure_gain", "start_noise",
+            "degenerate")  # fmt: skip
 PICTURES = ("blurred", "render", "truth")
 
 LoadScene = Callable[[str], tuple[Clip, Reference]]
@@ -82,18 +88,32 @@ def run_mode(mode: ModeParams, setup: FitSetup, load_scene: LoadScene) -> Item:
     worst: Measured | None = None
     for label, severity in mode.severities.items():
         _check_keys(label, severity)
-        known = type(setup.method.trajectory.motion).model_fields
-        if "estimated_shutter" in severity.fit and "shutter" not in known:
-            rows[label] = {"skipped": "this method has no shutter to estimate"}
+        skipped = _does_not_apply(severity, setup)
+        if skipped is not None:
+            rows[label] = {"skipped": skipped}
             continue
-        row, measured = _attempt(severity, setup, load_scene)
+        row, shown = _attempt(severity, setup, load_scene)
         rows[label] = {"scene": severity.scene, **row}
         logger.info("%s: %s", label, _shown(row))
-        if measured is not None and (
-            worst is None or measured.numbers["score"] < worst.numbers["score"]
-        ):
-            worst = measured
+        if shown is not None and (worst is None or shown.numbers["score"] < worst.numbers["score"]):
+            worst = shown
     return Item(rows, worst)
+
+
+def _does_not_apply(severity: SeverityParams, setup: FitSetup) -> str | None:
+    """Why a severity would change nothing for a method, or is not asked of it."""
+    known = type(setup.method.trajectory.motion).model_fields
+    if "estimated_shutter" in severity.fit and "shutter" not in known:
+        return "this method has no shutter to estimate"
+    if "start_noise" in severity.fit and "start_noise" not in known:
+        return "this method starts without noise"
+    if "networks" in severity.fit and setup.networks is None:
+        return "this method has an avatar without networks"
+    if "blend" in severity.fit and network_params(setup.method.fusion) is None:
+        return "this method has no fusion network"
+    if "instants" in severity.fit and "virtual_poses" not in known:
+        return "this method has one instant an exposure"
+    return None
 
 
 def _check_keys(label: str, severity: SeverityParams) -> None:
@@ -107,7 +127,13 @@ def _attempt(
 ) -> tuple[dict[str, Any], Measured | None]:
     """One severity: what was measured, and its worst draw, or how it ended instead."""
     clip, reference = load_scene(severity.scene)
-    row: dict[str, Any] = {"refused": None, "crashed": None, "flags": []}
+    row: dict[str, Any] = {
+        "refused": None,
+        "crashed": None,
+        "flags": [],
+        "chooses_virtual_poses": "pixels_per_pose"
+        in type(setup.method.trajectory.motion).model_fields,
+    }
     with _warnings() as messages:
         try:
             prepared = prepare(
@@ -115,19 +141,18 @@ def _attempt(
                 setup.validation_stride, setup.seed,
             )  # fmt: skip
             row["flags"] = _flags(prepared.blurred, prepared.metrics)
-            fits = _draws(prepared.blurred, severity, setup, prepared.blurred, reference)
-            if "oracle" in severity.fit and setup.method.trajectory.supervision == "sharp":
-                assert prepared.sharp is not None  # the studio knows all
-                sharp = _draws(prepared.sharp, severity, setup, prepared.blurred, reference)
-                row["oracle"] = mean_of_draws([measured.numbers for measured in sharp])
+            fits = list(_draws(prepared.blurred, severity, setup))
+            measured = [measure(prepared.blurred, reference, f, setup.device) for f in fits]
+            if setup.own_oracle and "no_oracle" not in severity.fit:
+                row["oracle"] = _oracle(prepared, severity, setup, reference)
         except (ConfigError, ArtifactError) as error:
             return _ended(row, "refused", error, messages), None
         except Exception as error:  # a crash is what this suite looks for
             logger.warning("%s", "".join(traceback.format_exception(error)))
             return _ended(row, "crashed", error, messages), None
     once = list(dict.fromkeys(messages))  # each draw says the same again
-    worst = min(fits, key=lambda measured: measured.numbers["score"])
-    return {**row, **mean_of_draws([m.numbers for m in fits]), "warnings": once}, worst
+    worst = min(measured, key=lambda one: one.numbers["score"])
+    return {**row, **mean_of_draws([one.numbers for one in measured]), "warnings": once}, worst
 
 
 def _ended(
@@ -136,26 +161,30 @@ def _ended(
     return {**row, how: f"{type(error).__name__}: {error}", "warnings": messages}
 
 
-def _draws(
-    seen: Observations,
-    severity: SeverityParams,
-    setup: FitSetup,
-    blurred: Observations,
-    reference: Reference,
-) -> list[Measured]:
-    """As many fits to what is seen as a severity asks for, each compared with the truth."""
-    chosen, first = _changed(setup, severity.fit), int(severity.fit.get("seed", 0))
+def _draws(seen: Observations, severity: SeverityParams, setup: FitSetup) -> Iterator[Fitted]:
+    """As many fits to what is seen as a severity asks for."""
+    chosen, recipe = _changed(setup, severity.fit)
+    first, count = int(severity.fit.get("seed", 0)), int(severity.fit.get("draws", setup.draws))
     degenerate = severity.fit.get("degenerate", 0.0)
-    fits = (
-        fit_method(seen, chosen, draw=draw, degenerate=degenerate)
-        for draw in range(first, first + int(severity.fit.get("draws", 1)))
-    )
-    return [measure(blurred, reference, fitted, setup.device) for fitted in fits]
+    for draw in range(first, first + count):
+        yield fit_method(seen, chosen, recipe, draw=draw, degenerate=degenerate)
 
 
-def _changed(setup: FitSetup, fit: Mapping[str, float]) -> FitSetup:
-    """Recipe, method and schedule as a severity wants them."""
-    recipe, method = setup.recipe, setup.method
+def _oracle(
+    prepared: Preprocessed, severity: SeverityParams, setup: FitSetup, reference: Reference
+) -> dict[str, Any]:
+    """What the same method makes of the sharp frames and the same poses."""
+    assert prepared.sharp is not None  # the studio knows all
+    fits = _draws(prepared.sharp, severity, setup)
+    seen, device = prepared.blurred, setup.device
+    return mean_of_draws([score_of(seen, reference, fitted, device) for fitted in fits])
+
+
+def _changed(setup: FitSetup, fit: Mapping[str, float]) -> tuple[FitSetup, RecipeParams]:
+    """Method, schedule and recipe as a severity wants them."""
+    method = setup.method
+    recipe = setup.networks if "networks" in fit else setup.plain
+    assert recipe is not None  # or the severity was skipped
     changes: dict[str, Any] = {}
     if "exposure_gain" in fit:
         recipe = recipe.model_copy(update={"exposure_gain": "frame"})
@@ -166,16 +195,14 @@ def _changed(setup: FitSetup, fit: Mapping[str, float]) -> FitSetup:
         )
     if "start_noise" in fit:
         changes["start_noise"] = fit["start_noise"]
-    # Of what the method's kind of trajectory has: the others have nothing to change.
-    changes = {key: value for key, value in changes.items() if key in type(motion).model_fields}
     motion = motion.model_copy(update=changes)
     trajectory = method.trajectory.model_copy(update={"motion": motion})
-    return replace(
+    changed = replace(
         setup,
-        recipe=recipe,
         method=method.model_copy(update={"trajectory": trajectory}),
         schedule=lengthened(setup.schedule, fit.get("budget", 1.0)),
     )
+    return changed, recipe
 
 
 def _flags(observations: Observations, metrics: Mapping[str, Any]) -> list[str]:

@@ -1,10 +1,10 @@
-"""Stage `stability_scene`: one small scene of the stability suite, and what its ceiling is."""
+"""Stage `stability_scene`: one small scene of the stability suite, and what its ceilings are."""
 
 from pathlib import Path
 
 from benchmarks.stress.fit import FitSetup
 from benchmarks.stress.params import StabilitySceneParams
-from benchmarks.stress.scene import film_scene, measure_ceiling
+from benchmarks.stress.scene import film_scene, measure_ceilings
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
 
@@ -16,11 +16,10 @@ def main(scene: str, out: Path, params_file: Path) -> None:
     with run.stage("stability_scene", scene, seed) as context:
         body, clip, reference = film_scene(params, context.generator)
         setup = FitSetup.of("ceiling", params_file, seed, context.device)
-        draws = load_params(params_file, "ceiling_draws", int)
-        ceiling = measure_ceiling(clip, reference, body, setup, draws)
+        ceilings = measure_ceilings(clip, reference, body, setup, params.networks)
         clip.save(out / "clip")
         reference.save(out / "reference")
-        run.write_json(out / "ceiling.json", ceiling)
+        run.write_json(out / "ceiling.json", ceilings)
 
 
 if __name__ == "__main__":
