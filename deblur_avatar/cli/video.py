@@ -13,6 +13,9 @@ Works in any folder and writes ./<name>/, in a checkout of the repository avatar
 DVC makes it step by step. Ctrl-C stops it; the same command goes on where it stopped, within a
 step, too. Once all is made it says so and changes nothing.
 
+With --preview there is a first avatar.html after the warm-up, a fifth of the way: open it, and load
+it anew at the end.
+
 Some minutes on a laptop: 8 for 247 frames, most of them for masks and poses.
 """
 
@@ -23,11 +26,14 @@ import shutil
 from pathlib import Path
 
 from deblur_avatar.cli.avatar_params import PAGE, name_of, prepare
-from deblur_avatar.cli.homes import Home
+from deblur_avatar.cli.homes import PARAMS, Home
+from deblur_avatar.cli.run_on_disk import RunOnDisk
 from deblur_avatar.cli.running_dvc import reproduce
 from deblur_avatar.cli.setup import ALONE
+from deblur_avatar.config.reading import load_params, parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.evaluation.findings import failures, read_findings
+from deblur_avatar.exports.registry import ExportParams
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--schedule", default="large",
         help="short, medium: 192 pixels; large (default): 512; huge: 1024; full: the paper's",
     )  # fmt: skip
+    parser.add_argument(
+        "--preview", action="store_true", help="show a first avatar early, while the rest is fitted"
+    )
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -63,7 +72,8 @@ def run(asked: argparse.Namespace) -> int:
     name = asked.name or name_of(asked.video)
     home = prepare(asked.video, name, asked.method, asked.schedule, Path())
     run = f"{name}-{asked.method}"
-    code = reproduce(*targets(name, asked.method), folder=home.folder)
+    code = _first_look(home, run) if asked.preview else 0
+    code = code or reproduce(*targets(name, asked.method), folder=home.folder)
     if code == 0:
         _show(home, name, run)
     return code
@@ -77,6 +87,28 @@ def targets(name: str, method: str) -> list[list[str]]:
         *(f"{s}@{run}" for s in ("self_check", "export", "animate", "evaluate")),
     )
     return [*([stage] for stage in made), ["--single-item", "report"]]
+
+
+def _first_look(home: Home, run: str) -> int:
+    """Check and warm up, and show what there is then; returns DVC's exit code.
+
+    The warm-up is an avatar at the given poses, without a model of blur. A stage that was made
+    already is not made again, and a page that is newer is left alone.
+    """
+    on_disk = RunOnDisk(home.folder, run)
+    check, warmup = f"check@{on_disk.run.scene}", f"warmup@{on_disk.warmup}"
+    code = reproduce([check], [warmup], folder=home.folder)
+    kept = on_disk.newest() if code == 0 else None
+    if kept is None or kept.iteration >= on_disk.schedule.fusion:
+        return code
+    page = load_params(home.folder / PARAMS, f"exports.{run}.files", dict).get(PAGE)
+    if page is None:
+        logger.info("No first look: an avatar with networks fits on no page")
+        return code
+    exporter = parse(ExportParams, page, f"exports.{run}.files.{PAGE}")
+    exporter.export(on_disk.fitted(kept, on_disk.observations()), home.folder / PAGE)
+    logger.info("A first look, the rest goes on: %s", home.folder / PAGE)
+    return code
 
 
 def _check_installed() -> None:

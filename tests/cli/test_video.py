@@ -193,6 +193,34 @@ def test_what_is_not_installed_is_said_before_anything_is_written(root, video, m
     assert not (root / "avatars").exists()
 
 
+@pytest.mark.parametrize("method", ["lean", "paper"])
+def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch, caplog, method):
+    monkeypatch.chdir(root)
+    folder = Path("avatars/anna")
+    recipe, page = ("lean" if method == "lean" else "paper"), folder / "avatar.html"
+    seen = {}
+
+    def make(word):
+        if word.startswith("warmup"):
+            scene.observations.save(folder / "data/preprocess/anna/blurred")
+            scene.avatar.save(folder / f"data/warmup/anna-blurred-{recipe}/avatar")
+        seen[word] = page.exists()
+        return 3 if word.startswith("self_check") else 0
+
+    pipeline = Pipeline(monkeypatch, make)
+    with caplog.at_level(logging.INFO):
+        words = ["video", str(video), "--name", "anna", "--method", method, "--preview"]
+        assert main([*words, "--schedule", "medium"]) == 3
+    first, rest = f"warmup@anna-blurred-{recipe}", f"self_check@anna-{method}"
+    assert pipeline.asked == ["check@anna", first, "check@anna", rest]
+    assert seen[rest] == (method == "lean")
+    if method == "lean":
+        assert "anna-lean, step 480 of 2400" in page.read_text()
+        assert f"A first look, the rest goes on: {page}" in caplog.messages
+    else:
+        assert "No first look: an avatar with networks fits on no page" in caplog.messages
+
+
 @pytest.mark.parametrize(
     ("value", "last"), [(0.9, "The avatar passes its self-check"), (0.1, "The avatar FAILS")]
 )
