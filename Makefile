@@ -10,8 +10,8 @@ PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 
 
 setup: $(STAMP)
 
-# torch comes first and alone: a CPU build that nothing later may replace. anny and mediapipe come
-# without their own dependencies, which would pull 150 MB of unused code and a second OpenCV.
+# torch comes first and alone: a CPU build that nothing later may replace. anny and mediapipe come last, without
+# their own dependencies: deblur_avatar/cli/setup.py.
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
@@ -19,8 +19,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
 	  --editable '.[dev]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt \
-	  anny roma mediapipe
+	$(BIN)/deblur-avatar setup
 	@touch $(STAMP)
 
 # All scenes but those that take long; SCENES="street street_given" makes these alone.

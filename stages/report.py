@@ -11,13 +11,19 @@ from deblur_avatar.pipeline.report import make_report
 logger = logging.getLogger(__name__)
 
 
-def main(metrics: Path, pictures: Path, animations: Path, out: Path, params_file: Path) -> None:
-    """Write `<out>/index.html`, `summary.json`, `table.md`, the charts and a strip of pictures."""
+def main(
+    metrics: Path, pictures: Path, animations: Path, exports: Path, out: Path, params_file: Path
+) -> None:
+    """Write `<out>/index.html`, avatars' pages, `summary.json`, `table.md`, charts and a strip."""
     runs = load_params(params_file, "runs", dict[str, RunParams])
     animated = load_params(params_file, "animations", dict)
+    exported = load_params(params_file, "exports", dict)
     hidden = load_params(params_file, "without_pictures", list[str])
     with run.stage("report", out.name, load_params(params_file, "seed", int)):
-        report = make_report(runs, animated, metrics, pictures, animations, hidden)
+        report = make_report(
+            runs, animated, metrics, pictures, animations, hidden,
+            exports=exports, exported=exported,
+        )  # fmt: skip
         report.save(out)
         logger.info("%s", report.log)
         logger.info("The report: %s", out / "index.html")

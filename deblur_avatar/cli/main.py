@@ -1,19 +1,16 @@
-"""The command `deblur-avatar`: one subcommand a module of this folder.
-
-Ends with 0 if all went well, 1 with one line for bad input, 2 for bad usage, and with DVC's own
-code where DVC failed.
-"""
+"""The command `deblur-avatar`: one subcommand a module of this folder."""
 
 import argparse
 import importlib
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
 
 # Modules and what they do; a module is imported once it is asked for, because torch takes seconds.
 COMMANDS = {
+    "setup": "install what pip cannot; once an environment",
     "video": "from a video of one person to an avatar, a check and a report",
     "check": "say whether scenes are fit for training",
     "repro": "run the whole pipeline as far as this machine has the footage",
@@ -22,7 +19,31 @@ COMMANDS = {
     "film": "write the video of a street scene",
     "export": "write a fitted run as a file that other programs open",
     "view": "turn a fitted avatar by hand in a browser on this machine",
+    "completion": "print what completes these words on a shell's command line",
 }
+INTERRUPTED = 130  # as shells say it
+MANUAL = """\
+first steps, in any folder:
+  deblur-avatar setup
+  deblur-avatar video clip.mp4            writes ./clip/avatar.html
+  deblur-avatar <command> --help          what a command reads and writes
+
+setup, video, export, view and completion run anywhere; check, repro, report and film run the
+repository's own pipeline, in a checkout of it.
+
+exit codes:
+  0    all went well; of video also where the avatar fails its self-check, which its last line says
+  1    bad input: one line says what was wanted, what came, where, and what to do
+  2    bad usage
+  130  stopped by Ctrl-C; the same command goes on where it stopped
+  other codes are DVC's: a stage failed, and what it said stands above
+
+environment:
+  DEBLUR_AVATAR_DEVICE          cpu, cuda; default: a GPU where there is one
+  DEBLUR_AVATAR_THREADS         of native kernels; results are the same for any number
+  DEBLUR_AVATAR_CACHE           where compiled kernels are kept; default: ~/.cache/deblur_avatar
+  DEBLUR_AVATAR_LPIPS_WEIGHTS   VGG16's weights, for the perceptual distance; none are shipped
+"""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -32,14 +53,30 @@ def main(words: Sequence[str] | None = None) -> int:
         words: of the command line; the process's own if None.
     """
     words = sys.argv[1:] if words is None else list(words)
+    asked = command_parser(words[:1]).parse_args(words)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
+    try:
+        code: int = asked.execute(asked)
+    except (ConfigError, ArtifactError, FittingError) as error:
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        sys.stderr.write("\nStopped. The same command goes on where it stopped.\n")
+        return INTERRUPTED
+    return code
+
+
+def command_parser(loaded: Collection[str]) -> argparse.ArgumentParser:
+    """The parser of all subcommands; only those named in `loaded` know their own arguments."""
     parser = argparse.ArgumentParser(
         prog="deblur-avatar",
         description="Sharp, animatable Gaussian avatars from motion-blurred video.",
-        epilog="All but export and view run the repository's pipeline, in a checkout of it.",
+        epilog=MANUAL,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
     for name, purpose in COMMANDS.items():
-        module = importlib.import_module(f"{__package__}.{name}") if words[:1] == [name] else None
+        module = importlib.import_module(f"{__package__}.{name}") if name in loaded else None
         command = commands.add_parser(
             name, help=purpose, description=module.__doc__ if module else None,
             formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -47,14 +84,7 @@ def main(words: Sequence[str] | None = None) -> int:
         if module:
             module.add_arguments(command)
             command.set_defaults(execute=module.run)
-    asked = parser.parse_args(words)
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
-    try:
-        code: int = asked.execute(asked)
-    except (ConfigError, ArtifactError, FittingError) as error:
-        sys.stderr.write(f"{type(error).__name__}: {error}\n")
-        return 1
-    return code
+    return parser
 
 
 if __name__ == "__main__":

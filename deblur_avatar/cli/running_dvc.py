@@ -1,15 +1,14 @@
-"""DVC as a subprocess: reproduce stages of the repository's pipeline."""
+"""DVC as a subprocess: reproduce stages of a pipeline."""
 
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from deblur_avatar.cli.homes import missing_of_checkout
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import refresh
-
-CHECKOUT = ("dvc.yaml", "params.yaml", "stages")  # what a checkout of the repository has
 
 
 def check_checkout(folder: Path) -> None:
@@ -18,7 +17,7 @@ def check_checkout(folder: Path) -> None:
     Raises:
         ConfigError: naming what is missing and where to start the command instead.
     """
-    missing = [name for name in CHECKOUT if not (folder / name).exists()]
+    missing = missing_of_checkout(folder)
     if missing:
         raise ConfigError(
             f"no {', '.join(missing)} in {folder.resolve()}: this command runs the repository's "
@@ -26,27 +25,46 @@ def check_checkout(folder: Path) -> None:
         )
 
 
-def reproduce(*steps: Sequence[str], refreshed: bool = False) -> int:
-    """Run `dvc repro` with the words of each step, one after the other, in this folder.
+def reproduce(*steps: Sequence[str], folder: Path = Path(), refreshed: bool = False) -> int:
+    """Run `dvc repro` with the words of each step, one after the other, in a folder.
 
-    Fingerprints of code are refreshed first, as `make code` does.
+    In a checkout fingerprints of code are refreshed first, as `make code` does; elsewhere the
+    pipeline's own stage `code` does it.
 
     Args:
         steps: of words each.
-        refreshed: they are already; others may run beside, which DVC waits for.
+        folder: where the pipeline is.
+        refreshed: fingerprints are already; others may run beside, which DVC waits for.
 
     Returns:
         0, or the exit code of the first step that failed.
     """
-    if not refreshed:
-        refresh(Path())
+    if not (refreshed or missing_of_checkout(folder)):
+        refresh(folder)
     # Stage commands say `python`: the environment's own, whatever the shell's path says.
     here = str(Path(sys.executable).parent)
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', '')}"}
     for step in steps:
         waiting = ["--wait-for-lock"] if refreshed else []
         command = [sys.executable, "-m", "dvc", *waiting, "repro", *step]
-        code = subprocess.run(command, env=environment, check=False).returncode
+        code = finish(command, environment, folder)
         if code != 0:
             return code
     return 0
+
+
+def finish(command: Sequence[str], environment: Mapping[str, str], folder: Path) -> int:
+    """Run a command to its end; returns its exit code.
+
+    A keyboard that interrupts reaches the command, too: it is waited for, so that DVC writes down
+    what is done and gives its locks back.
+
+    Raises:
+        KeyboardInterrupt: once the command has ended.
+    """
+    with subprocess.Popen(command, env=environment, cwd=folder) as process:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            process.wait()
+            raise

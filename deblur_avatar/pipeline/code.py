@@ -11,6 +11,9 @@ The walk over imports is static: every `import` counts, those inside functions t
 every package's `__init__.py` on the way, and a module whose full name stands in a string. A file
 that is no Python module belongs to the module above it that names it in a string, or to the C++
 file that includes it.
+
+Where the root has scripts and no package, as the folder of an avatar made by an installed package,
+modules are looked for where the package is installed. Names, and so fingerprints, are the same.
 """
 
 import ast
@@ -20,6 +23,7 @@ import re
 import sys
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 
 from deblur_avatar.config.proof import files_of
@@ -98,9 +102,9 @@ def scripts(root: Path) -> list[Path]:
 def fingerprint(files: set[Path], root: Path) -> str:
     """One hash over files' names and what in them can change a result."""
     digest = hashlib.sha256()
-    for path in sorted(files):
-        name = path.relative_to(root).as_posix()
-        digest.update(f"{name}\0{_of_text(path.suffix, path.read_bytes())}\n".encode())
+    named = {_name(path, root): path for path in files}
+    for name, path in sorted(named.items()):
+        digest.update(f"{name.as_posix()}\0{_of_text(path.suffix, path.read_bytes())}\n".encode())
     return digest.hexdigest()[:32]
 
 
@@ -129,16 +133,29 @@ def import_closure(
 
 def _neighbours(path: Path, root: Path) -> Iterator[Path]:
     if path.suffix == ".py":
-        imported, files = _references(path.read_bytes(), path.relative_to(root).parts[:-1])
+        own = _name(path, root).parts
+        imported, files = _references(path.read_bytes(), own[:-1])
         for name in imported:
             yield from _module_files(name, root)
-        if path.relative_to(root).parts[0] in PACKAGES:
+        if own[0] in PACKAGES:
             for name in files:
                 yield from path.parent.rglob(name)
     elif path.suffix in CPP:
         for name in re.findall(r'^\s*#\s*include\s*"([^"]+)"', path.read_text(), re.MULTILINE):
             if (path.parent / name).is_file():
                 yield (path.parent / name).resolve()
+
+
+def _starts(root: Path) -> list[Path]:
+    """The folders that names of files are counted from."""
+    installed = Path(__file__).parents[2]
+    return [root] if (root / PACKAGES[0]).is_dir() else [root, installed]
+
+
+def _name(path: Path, root: Path) -> Path:
+    """A file as it is called from the first folder that it lies below."""
+    start = next(start for start in _starts(root) if path.is_relative_to(start))
+    return path.relative_to(start)
 
 
 @lru_cache(maxsize=1024)
@@ -201,8 +218,8 @@ def _module_files(name: str, root: Path) -> Iterator[Path]:
     parts = name.split(".")
     if parts[0] not in PACKAGES:
         return
-    for depth in range(1, len(parts) + 1):
-        here = root.joinpath(*parts[:depth])
+    for depth, start in product(range(1, len(parts) + 1), _starts(root)):
+        here = start.joinpath(*parts[:depth])
         if (here / "__init__.py").is_file():
             yield here / "__init__.py"
         elif here.with_suffix(".py").is_file():

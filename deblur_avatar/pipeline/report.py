@@ -24,6 +24,7 @@ from deblur_avatar.evaluation.recovery import (
     standard_deviations,
 )
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
+from deblur_avatar.reporting.avatar_pages import AvatarPage, best_page
 from deblur_avatar.reporting.charts import CHARTS, chart_files
 from deblur_avatar.reporting.page import data_uri, picture_uri, render_page
 from deblur_avatar.reporting.picture_strips import (
@@ -45,6 +46,7 @@ from deblur_avatar.reporting.results_table import (
     results_table,
     short_columns,
 )
+from deblur_avatar.reporting.sortable_tables import sorting
 from deblur_avatar.reporting.speed_accuracy import rows_of_methods, rows_over_time, with_speed
 
 logger = logging.getLogger(__name__)
@@ -76,12 +78,13 @@ class Report:
     tables: str  # Markdown
     charts: dict[str, bytes]  # files by name
     strip: Picture | None  # for the README
+    avatars: dict[str, bytes]  # pages to turn by hand, files by name
     self_check: dict[str, Any]  # the self-check's confusion table; empty if nobody made it
     log: str  # for a terminal
 
     def save(self, folder: Path) -> None:
-        """Write the page, `summary.json`, `metrics.json`, `table.md`, `strip.png`, the charts,
-        and `self_check.json` where there is one.
+        """Write the page, the avatars' pages, `summary.json`, `metrics.json`, `table.md`,
+        `strip.png`, the charts, and `self_check.json` where there is one.
 
         A chart is its rows (`.json`, for `dvc plots show`) and its picture (`.svg`, `.png`);
         without rows it is an empty list alone.
@@ -90,7 +93,7 @@ class Report:
             ArtifactError: if the disk refuses.
         """
         files = {"index.html": self.page.encode(), "table.md": self.tables.encode()}
-        for file, content in (files | self.charts).items():
+        for file, content in (files | self.charts | self.avatars).items():
             run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
         run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
@@ -102,18 +105,20 @@ class Report:
 
 def make_report(
     runs: Mapping[str, RunParams], animated: Collection[str], metrics: Path, pictures: Path,
-    animations: Path, hidden: Collection[str] = (),
+    animations: Path, hidden: Collection[str] = (), *, exports: Path, exported: Collection[str],
 ) -> Report:  # fmt: skip
     """Read the results of these runs and put them on one page; nothing else that lies there counts.
 
     Args:
         runs: by name, `<scene>-<method>`; those without results are left out.
-        animated: names of those that were animated.
+        animated: those that were animated.
         metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
             `learning_curve/<run>.json`, `self_check/<run>.json`, `cost/<stage>/<item>.json`.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
-        hidden: scenes of which no picture may be shown.
+        hidden: scenes of which no picture may be shown, in no page either.
+        exports: what `export` wrote, one folder a run.
+        exported: those that were exported.
 
     Raises:
         ArtifactError: if a file is damaged; names it.
@@ -124,15 +129,11 @@ def make_report(
         scene: with_speed(compared(results), curves.get(scene, {}))
         for scene, results in read_results(metrics, runs).items()
     }
-    strips = {
-        scene: [] if scene in hidden else _strips(scene, results, pictures)
-        for scene, results in scenes.items()
-    }
-    charts = chart_files("speed_accuracy", rows_of_methods(scenes))
-    charts |= chart_files("quality_over_time", rows_over_time(curves))
+    strips = {s: _strips(s, results, pictures, hidden) for s, results in scenes.items()}
+    avatars = _avatars(scenes, hidden, exports, exported)
+    charts = _charts(scenes, curves)
     repeated = _repeated(scenes)
-    main = {} if repeated is None else {repeated.title: repeated}
-    main |= {s: results_table(results, short_columns(results)) for s, results in scenes.items()}
+    main = _main_tables(scenes, repeated)
     page = render_page(
         TEMPLATE,
         headline=_headline(scenes),
@@ -141,11 +142,12 @@ def make_report(
         charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
         quiet=(NOT_MEASURED, NOT_KNOWN),
         repeated=repeated,
+        sorting=sorting(),
         scenes=[
-            _section(scene, results, strips[scene], metrics)
+            _section(scene, results, strips[scene], metrics, pictures)
             | {
                 "hidden": scene in hidden,
-                "without_pictures": _without_pictures(scene, results, pictures),
+                "avatar": avatars.get(scene),
                 "animations": _animations(scene, results, shown),
             }
             for scene, results in scenes.items()
@@ -157,13 +159,34 @@ def make_report(
         tables="".join(f"**{scene}**\n\n{markdown(table)}\n" for scene, table in main.items()),
         charts=charts,
         strip=_readme_strip(strips),
+        avatars={page.file: page.content for page in avatars.values()},
         self_check=_read(metrics / "self_check" / "cases.json"),
         log=_log(main),
     )
 
 
+def _charts(scenes: Mapping[str, Results], curves: Mapping[str, Results]) -> dict[str, bytes]:
+    charts = chart_files("speed_accuracy", rows_of_methods(scenes))
+    return charts | chart_files("quality_over_time", rows_over_time(curves))
+
+
+def _avatars(
+    scenes: Mapping[str, Results], hidden: Collection[str], exports: Path, exported: Collection[str]
+) -> dict[str, AvatarPage]:
+    """The pages to turn by hand, of scenes that may be shown and have one."""
+    shown = {scene: results for scene, results in scenes.items() if scene not in hidden}
+    pages = {s: best_page(s, results, exports, exported) for s, results in shown.items()}
+    return {scene: page for scene, page in pages.items() if page is not None}
+
+
+def _main_tables(scenes: Mapping[str, Results], repeated: Table | None) -> dict[str, Table]:
+    """What stands in the README and on a terminal: means first, where there are any."""
+    main = {} if repeated is None else {repeated.title: repeated}
+    return main | {s: results_table(found, short_columns(found)) for s, found in scenes.items()}
+
+
 def _section(
-    scene: str, results: Results, strips: Sequence[Strip], metrics: Path
+    scene: str, results: Results, strips: Sequence[Strip], metrics: Path, pictures: Path
 ) -> dict[str, Any]:
     """Facts, tables and strips of one scene."""
     preprocess = _read(metrics / "preprocess" / f"{scene}.json")
@@ -172,6 +195,7 @@ def _section(
         "facts": facts_of(_read(metrics / "blur" / f"{scene}.json"), preprocess),
         "strips": [_on_page(strip) for strip in strips],
         "tables": tables_of(results, preprocess),
+        "without_pictures": _without_pictures(scene, results, pictures),
     }
 
 
@@ -267,7 +291,9 @@ def _summary(scenes: Mapping[str, Results]) -> dict[str, Any]:
     }
 
 
-def _strips(scene: str, results: Results, pictures: Path) -> list[Strip]:
+def _strips(scene: str, results: Results, pictures: Path, hidden: Collection[str]) -> list[Strip]:
+    if scene in hidden:
+        return []
     folders = {method: pictures / f"{scene}-{method}" for method in results}
     return strips_of_scene({m: f for m, f in folders.items() if f.is_dir()}, STRIPS)
 

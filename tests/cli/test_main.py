@@ -18,7 +18,7 @@ def test_the_command_is_installed_with_the_package():
 
 
 def test_every_subcommand_is_a_module_and_every_module_one():
-    others = {"__init__", "main", "running_dvc"}
+    others = {"__init__", "main", "running_dvc", "homes", "avatar_params", "run_on_disk"}
     assert {p.stem for p in (ROOT / "deblur_avatar/cli").glob("*.py")} - others == set(COMMANDS)
 
 
@@ -29,6 +29,24 @@ def test_help_says_what_a_subcommand_does(name, capsys):
     assert end.value.code == 0
     module = importlib.import_module(f"deblur_avatar.cli.{name}")
     assert module.__doc__.splitlines()[0] in capsys.readouterr().out
+
+
+def test_the_manual_says_what_every_exit_code_means(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert all(f"\n  {code} " in said for code in (0, 1, 2, command.INTERRUPTED))
+
+
+def test_an_interrupted_command_says_that_it_goes_on_and_ends_as_shells_expect(monkeypatch, capsys):
+    def interrupted(asked):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(
+        command.importlib.import_module("deblur_avatar.cli.report"), "run", interrupted
+    )
+    assert main(["report"]) == 130
+    assert "goes on where it stopped" in capsys.readouterr().err
 
 
 def test_help_lists_all_subcommands_without_loading_torch():

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from deblur_avatar.cli import running_dvc
+from deblur_avatar.cli import video as command
+from deblur_avatar.cli.avatar_params import name_of, prepare
 from deblur_avatar.cli.main import main
-from deblur_avatar.cli.video import name_of, prepare
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.evaluation.findings import Scale, judged
@@ -22,9 +24,10 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A repository with nothing but the two files that an avatar's folder is made from."""
+    """A checkout with nothing but the two files that an avatar's folder is made from."""
     for name in ("params.yaml", "dvc.yaml"):
         shutil.copy(ROOT / name, tmp_path / name)
+    (tmp_path / "stages").mkdir()
     return tmp_path
 
 
@@ -38,7 +41,7 @@ def content(path: Path) -> dict:
 
 
 def test_a_video_gets_a_folder_that_can_be_run(root: Path, video: Path):
-    folder = prepare(video, name_of(video), "lean", "medium", root)
+    folder = prepare(video, name_of(video), "lean", "medium", root).folder
     assert folder == root / "avatars" / "my_clip_2"
     clip = load_params(folder / "params.yaml", "scenes.my_clip_2.clip", ClipParams)
     assert isinstance(clip, MonocularParams)
@@ -52,7 +55,7 @@ def test_a_video_gets_a_folder_that_can_be_run(root: Path, video: Path):
 
 
 def test_a_section_of_its_own_is_taken_from_the_avatars_file(root: Path, video: Path):
-    path = prepare(video, "anna", "lean", "medium", root) / "params.yaml"
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
     path.write_text(path.read_text() + "check: {on_failure: stop}\n")
     prepare(video, "anna", "lean", "medium", root)
     assert content(path)["from"]["check"] == "params.yaml"
@@ -60,7 +63,7 @@ def test_a_section_of_its_own_is_taken_from_the_avatars_file(root: Path, video: 
 
 
 def test_what_the_user_changed_stays(root: Path, video: Path):
-    folder = prepare(video, "anna", "lean", "medium", root)
+    folder = prepare(video, "anna", "lean", "medium", root).folder
     path = folder / "params.yaml"
     path.write_text(path.read_text().replace("field_of_view: 60.0", "field_of_view: 75.0"))
     prepare(video, "anna", "agnostic", "medium", root)
@@ -79,7 +82,7 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
 def test_one_name_is_one_video(root: Path, video: Path):
     prepare(video, "anna", "lean", "medium", root)
     other = write_video(root / "b.mp4", [picture(index) for index in range(3)])
-    with pytest.raises(ConfigError, match="choose another NAME"):
+    with pytest.raises(ConfigError, match="choose another --name"):
         prepare(other, "anna", "lean", "medium", root)
 
 
@@ -92,8 +95,8 @@ def test_one_name_is_one_video(root: Path, video: Path):
         ("a: &a {b: *a}", "the file has no key 'scenes', it has a"),
         ("scenes: {anna: 1}", "scenes.anna has no key 'clip'"),
         ("scenes: {anna: {clip: {path: [1]}}}", r"scenes\.anna\.clip\.path: .*valid string"),
-        ('scenes: {anna: {clip: {path: "\\0"}}}\n%s', "choose another NAME"),
-        ('scenes: {anna: {clip: {path: "\\ud800"}}}\n%s', "choose another NAME"),
+        ('scenes: {anna: {clip: {path: "\\0"}}}\n%s', "choose another --name"),
+        ('scenes: {anna: {clip: {path: "\\ud800"}}}\n%s', "choose another --name"),
         ("scenes: {anna: {clip: {path: x}}}\nruns: {}", "the file has no key 'warmups', it has"),
         ("scenes: {anna: {clip: {path: x}}}\nwarmups: {}\nruns: 5", "runs: .*valid dictionary"),
     ],
@@ -134,7 +137,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(
 ):
     asked = {"name": "anna", "method": "lean", "schedule": "medium"} | changes
     with pytest.raises(ConfigError, match=message):
-        prepare(video, root=root, **asked)
+        prepare(video, here=root, **asked)
     assert not (root / "avatars").exists()
 
 
@@ -155,48 +158,100 @@ def test_a_file_s_name_becomes_the_avatar_s(file: str, name: str):
     assert name_of(Path(file)) == name
 
 
+class Pipeline:
+    """Stands in for DVC, and fails on request."""
+
+    def __init__(self, monkeypatch, code=lambda words: 0):
+        self.asked, self.code, self.folders = [], code, set()
+        monkeypatch.setattr(running_dvc, "finish", self)
+        monkeypatch.setattr(running_dvc, "refresh", lambda root: [])
+        monkeypatch.setattr(command, "ALONE", {})
+
+    def __call__(self, words, environment, folder):
+        self.asked.append(" ".join(words[4:]))
+        self.folders.add(folder)
+        return self.code(words[-1])
+
+
 def test_the_check_comes_before_the_training(root, video, monkeypatch):
     monkeypatch.chdir(root)
-    asked = []
-
-    def run(command, **_):
-        asked.append(command[-1].removeprefix("avatars/anna/dvc.yaml:"))
-        return subprocess.CompletedProcess(command, 3 if "evaluate" in command[-1] else 0)
-
-    monkeypatch.setattr(subprocess, "run", run)
-    (root / "stages").mkdir()
+    pipeline = Pipeline(monkeypatch, lambda word: 3 if "evaluate" in word else 0)
     assert main(["video", str(video), "--name", "anna"]) == 3
-    assert asked == [
+    assert pipeline.folders == {Path("avatars/anna")}
+    assert pipeline.asked == [
         "check@anna", "self_check@anna-lean", "export@anna-lean", "animate@anna-lean",
         "evaluate@anna-lean",
     ]  # fmt: skip
 
 
+def test_what_is_not_installed_is_said_before_anything_is_written(root, video, monkeypatch, capsys):
+    monkeypatch.chdir(root)
+    Pipeline(monkeypatch)
+    monkeypatch.setattr(command, "ALONE", {"no_such_module": "no_such_module==1"})
+    assert main(["video", str(video), "--name", "anna"]) == 1
+    assert "no_such_module not installed; run once: deblur-avatar setup" in capsys.readouterr().err
+    assert not (root / "avatars").exists()
+
+
+@pytest.mark.parametrize("method", ["lean", "paper"])
+def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch, caplog, method):
+    monkeypatch.chdir(root)
+    folder = Path("avatars/anna")
+    recipe, page = ("lean" if method == "lean" else "paper"), folder / "avatar.html"
+    seen = {}
+
+    def make(word):
+        if word.startswith("warmup"):
+            scene.observations.save(folder / "data/preprocess/anna/blurred")
+            scene.avatar.save(folder / f"data/warmup/anna-blurred-{recipe}/avatar")
+        seen[word] = page.exists()
+        return 3 if word.startswith("self_check") else 0
+
+    pipeline = Pipeline(monkeypatch, make)
+    with caplog.at_level(logging.INFO):
+        words = ["video", str(video), "--name", "anna", "--method", method, "--preview"]
+        assert main([*words, "--schedule", "medium"]) == 3
+    first, rest = f"warmup@anna-blurred-{recipe}", f"self_check@anna-{method}"
+    assert pipeline.asked == ["check@anna", first, "check@anna", rest]
+    assert seen[rest] == (method == "lean")
+    if method == "lean":
+        assert "anna-lean, step 480 of 2400" in page.read_text()
+        assert f"A first look, the rest goes on: {page}" in caplog.messages
+    else:
+        assert "No first look: an avatar with networks fits on no page" in caplog.messages
+
+
 @pytest.mark.parametrize(
     ("value", "last"), [(0.9, "The avatar passes its self-check"), (0.1, "The avatar FAILS")]
 )
-def test_the_self_check_has_the_last_word(root, video, monkeypatch, caplog, value, last):
-    monkeypatch.chdir(root)
-    (root / "stages").mkdir()
+@pytest.mark.parametrize("checkout", [True, False])
+def test_the_self_check_has_the_last_word(
+    root, video, tmp_path_factory, monkeypatch, caplog, value, last, checkout
+):
+    here = root if checkout else tmp_path_factory.mktemp("anywhere")
+    folder = Path("avatars/anna") if checkout else Path("anna")
+    monkeypatch.chdir(here)
 
-    def run(command, **_):
+    def found(word):
         found = vars(judged(Scale(0.75, 0.5, "IoU", "look at the masks"), value))
-        path = root / "avatars/anna/metrics/self_check/anna-lean.json"
+        path = folder / "metrics/self_check/anna-lean.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         content = {"verdict": found["verdict"], "findings": {"coverage_iou": found}}
         path.write_text(json.dumps(content))
-        return subprocess.CompletedProcess(command, 0)
+        page = folder / "data/export/anna-lean/avatar.html"
+        page.parent.mkdir(parents=True, exist_ok=True)
+        page.write_text("anna-lean")
+        return 0
 
-    monkeypatch.setattr(subprocess, "run", run)
-    page = root / "avatars/anna/data/export/anna-lean/avatar.html"
-    page.parent.mkdir(parents=True)
-    page.write_text("anna-lean")
+    pipeline = Pipeline(monkeypatch, found)
     with caplog.at_level(logging.INFO):
         assert main(["video", str(video), "--name", "anna"]) == 0
+    assert pipeline.folders == {folder}
+    assert pipeline.asked[-1] == "--single-item report"
     assert caplog.messages[-1].startswith(last)
     assert ("look at the masks" in caplog.text) == (value < 0.5)
-    assert (root / "avatars/anna/avatar.html").read_text() == "anna-lean"
-    assert "Turn it by hand: avatars/anna/avatar.html" in caplog.messages
+    assert (folder / "avatar.html").read_text() == "anna-lean"
+    assert f"Turn it by hand: {folder}/avatar.html" in caplog.messages
 
 
 def test_a_missing_video_is_one_clear_line(tmp_path: Path):

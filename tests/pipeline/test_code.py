@@ -181,6 +181,12 @@ def test_refreshing_writes_fingerprints_and_copies_where_the_pipeline_runs(proje
     assert refresh(project) == []
 
 
+def test_scripts_by_themselves_have_the_fingerprints_of_the_installed_package(tmp_path):
+    shutil.copytree(ROOT / "stages", tmp_path / "stages")
+    ours = fingerprints(ROOT)
+    assert fingerprints(tmp_path) == {name: ours[name] for name in ours if name not in SUITE}
+
+
 def test_what_a_stage_really_loads_is_within_its_closure():
     """The static walk misses nothing that running the imports shows."""
     show = (

@@ -11,6 +11,7 @@ from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.imaging.video_writing import write_video
 from deblur_avatar.pipeline.report import make_report
+from deblur_avatar.reporting.avatar_pages import MAX_BYTES
 from deblur_avatar.reporting.picture_strips import (
     INPUT,
     TRUTH,
@@ -65,7 +66,16 @@ def build_project(folder):
     frames = [person(value) for value in (50, 100, 150)]
     write_picture(folder / "animate/studio-paper/contact_sheet.png", frames[0])
     write_video(folder / "animate/studio-paper/video.mp4", frames, 3.0)
+    for scene in ("studio", "yard"):
+        for method in ("agnostic", "oracle", "paper"):
+            write_page(folder, f"{scene}-{method}")
     return folder
+
+
+def write_page(folder, run, text="a page"):
+    path = folder / "export" / run / "avatar.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"<title>{run}</title>{text}")
 
 
 @pytest.fixture
@@ -95,7 +105,10 @@ def made(project, metrics="metrics"):
     names = sorted((path.parent.name, path.stem) for path in paths)
     runs = {f"{scene}-{method}": run_of(scene, method) for scene, method in names}
     folders = project / "evaluate", project / "animate"
-    return make_report(runs, list(runs), project / metrics, *folders)
+    return make_report(
+        runs, list(runs), project / metrics, *folders,
+        exports=project / "export", exported=list(runs),
+    )  # fmt: skip
 
 
 class Page(HTMLParser):
@@ -134,7 +147,8 @@ def test_the_page_loads_nothing_from_anywhere(report):
     page = Page(report.page)
     assert page.open == []
     assert page.addresses
-    assert all(address.startswith(("data:", "#")) for address in page.addresses)
+    beside = {a for a in page.addresses if not a.startswith(("data:", "#"))}
+    assert beside == set(report.avatars) == {"studio-paper.html", "yard-paper.html"}
     text = re.sub(r"data:[^\"]+", "", report.page)
     outside = re.findall(r"(?:https?:)?//[^\s\"'<>)]+", text)
     assert set(outside) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
@@ -210,7 +224,7 @@ def test_equal_results_give_equal_bytes(project):
         "index.html", "metrics.json",
         *(f"quality_over_time.{kind}" for kind in ("json", "png", "svg")),
         *(f"speed_accuracy.{kind}" for kind in ("json", "png", "svg")),
-        "strip.png", "summary.json", "table.md",
+        "strip.png", "studio-paper.html", "summary.json", "table.md", "yard-paper.html",
     ]  # fmt: skip
     for name in files:
         assert (project / "a" / name).read_bytes() == (project / "b" / name).read_bytes(), name
@@ -318,7 +332,7 @@ def test_names_from_files_cannot_change_the_page(project):
     for method in ("oracle", "agnostic", "paper"):
         renamed = [{**view, "camera": name} for view in views]
         write_json(project / f"evaluate/yard-{method}/views.json", renamed)
-    assert "<script>" not in made(project).page
+    assert name not in made(project).page
 
 
 def test_only_views_that_all_methods_drew_are_lined_up(project):
@@ -402,18 +416,23 @@ def test_an_avatar_that_fails_its_self_check_is_told_of_on_top(project):
 def test_no_picture_of_a_hidden_scene_leaves_the_machine(project, tmp_path):
     runs = {f"{s}-{m}": run_of(s, m) for s in ("studio", "yard") for m in METHODS}
     folders = project / "metrics", project / "evaluate", project / "animate"
+    exports = {"exports": project / "export", "exported": list(runs)}
 
     def pictures(hidden):
-        report = make_report(runs, list(runs), *folders, hidden)
+        report = make_report(runs, list(runs), *folders, hidden, **exports)
         report.save(tmp_path / "-".join(["reports", *hidden]))
         return report.page.count("data:image"), report.page.count("data:video")
 
     everything, yard = pictures(()), pictures(("yard",))
     assert 0 < yard[0] < everything[0]
-    assert "may not be passed on" in make_report(runs, list(runs), *folders, ("yard",)).page
+    without = make_report(runs, list(runs), *folders, ("yard",), **exports)
+    assert "may not be passed on" in without.page
     assert pictures(("studio", "yard")) == (0, 0)
     assert not (tmp_path / "reports-studio-yard/strip.png").exists()
     assert (tmp_path / "reports-yard/strip.png").exists()
+    assert (tmp_path / "reports/yard-paper.html").exists()
+    assert not list(tmp_path.glob("reports-*yard/yard-*.html"))
+    assert "yard-paper.html" not in without.page
 
 
 def test_the_confusion_table_is_among_the_results_where_somebody_made_it(project, tmp_path):
@@ -514,6 +533,33 @@ def test_a_damaged_learning_curve_is_named_with_what_to_do(project, points):
         made(project)
 
 
+def test_of_each_scene_the_best_method_that_has_a_page_can_be_turned(project):
+    report = made(project)  # the oracle is better, and a bound
+    assert report.avatars["yard-paper.html"] == b"<title>yard-paper</title>a page"
+    assert 'data-page="yard-paper.html"' in report.page
+    assert "Turn the avatar of paper by hand" in report.page
+    shutil.rmtree(project / "export/yard-paper")
+    assert sorted(made(project).avatars) == ["studio-paper.html", "yard-agnostic.html"]
+    for name in ("agnostic", "oracle"):
+        (project / f"export/yard-{name}/avatar.html").rename(project / f"export/yard-{name}/a.ply")
+    assert sorted(made(project).avatars) == ["studio-paper.html"]
+
+
+def test_without_a_sharp_truth_the_best_is_who_explains_blurred_frames_best(project):
+    untrue(project, "lean", 31.25)
+    untrue(project, "agnostic", 29.0)
+    for method in ("agnostic", "lean"):
+        write_page(project, f"mine-{method}")
+    assert "mine-lean.html" in made(project).avatars
+
+
+def test_a_page_that_is_too_large_to_go_along_stays_where_it_is(project):
+    write_page(project, "yard-paper", "x" * MAX_BYTES)
+    report = made(project)
+    assert sorted(report.avatars) == ["studio-paper.html"]
+    assert "yard-paper.html" not in report.page
+
+
 def test_files_of_other_runs_are_ignored(project):
     report = made(project)
     write_result(project / "metrics", "studio", "gone", 40.0)
@@ -521,13 +567,18 @@ def test_files_of_other_runs_are_ignored(project):
     old = {"scene": "yard", "method": "paper", "disk_mb": 9.0, "points": []}
     write_json(project / "metrics/learning_curve/attic-paper.json", old)
     shutil.copytree(project / "animate/studio-paper", project / "animate/studio-gone")
+    write_page(project, "studio-gone")
+    for scene in ("studio", "yard"):
+        for method in ("agnostic", "oracle"):
+            shutil.rmtree(project / f"export/{scene}-{method}")
     runs = {
         f"{scene}-{method}": run_of(scene, method)
         for scene, methods in report.summary["scenes"].items()
         for method in methods
     }
     folders = project / "evaluate", project / "animate"
-    again = make_report(runs, ["studio-paper"], project / "metrics", *folders)
+    exports = {"exports": project / "export", "exported": ["studio-paper", "yard-paper"]}
+    again = make_report(runs, ["studio-paper"], project / "metrics", *folders, **exports)
     assert again.summary == report.summary
     assert again.charts == report.charts
     assert again.page == report.page

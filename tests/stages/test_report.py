@@ -12,11 +12,11 @@ def test_it_writes_the_report_and_prints_the_table_and_where_it_lies(tmp_path):
     names = ("oracle", "agnostic", "paper")
     like = "scene: studio, observations: sharp, avatar: plain"
     runs = [f"  studio-{name}: {{{like}, method: {name}}}\n" for name in names]
-    text = f"seed: 0\nanimations: {{}}\nwithout_pictures: []\nruns:\n{''.join(runs)}"
+    text = f"seed: 0\nanimations: {{}}\nexports: {{}}\nwithout_pictures: []\nruns:\n{''.join(runs)}"
     (tmp_path / "params.yaml").write_text(text)
     files = {
-        "metrics": "metrics", "pictures": "evaluate", "animations": "animate", "out": "reports",
-        "params_file": "params.yaml",
+        "metrics": "metrics", "pictures": "evaluate", "animations": "animate", "exports": "export",
+        "out": "reports", "params_file": "params.yaml",
     }  # fmt: skip
     done = run_script("report", **{key: tmp_path / file for key, file in files.items()})
     assert done.returncode == 0, done.stderr

@@ -1,0 +1,224 @@
+"""Avatar parameters: the params.yaml of one person's video, the user's to change once written."""
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from deblur_avatar.cli.homes import PARAMS, Home, home_of
+from deblur_avatar.config.reading import (
+    read_params,
+    read_yaml,
+    section_of,
+)
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.parameters import check_parameters
+from deblur_avatar.sources.footage import read_footage
+
+PAGE = "avatar.html"
+BODY, PLAIN = "anny", "plain"
+DEFAULT_AVATAR = "paper"
+ADDED_TO = (
+    "warmups",
+    "runs",
+    "self_checks",
+    "animations",
+    "exports",
+)  # sections that each method asked for grows
+HEADER = """\
+# One person's video. Change what you know better, then run the same command again; every key of
+# `clip` is explained in docs/your-own-footage.md. What is not here is that of the file `shared`.
+
+"""
+
+
+def prepare(video: Path, name: str, method: str, schedule: str, here: Path) -> Home:
+    """Write an avatar's parameters, unless they are there, and its pipeline.
+
+    Args:
+        video: a video file or a folder of pictures.
+        name: of the avatar; letters, digits and `_`.
+        method: a row of the tables.
+        schedule: of `params.yaml`.
+        here: where the command was started.
+
+    Raises:
+        ConfigError: if there is no such video, name, method or schedule, or the folder is taken.
+        ArtifactError: if the video cannot be read.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ConfigError(f"--name {name}: a name is small letters, digits and _, a letter first")
+    home = home_of(name, here)
+    source = home.source / PARAMS
+    shared = read_params(source)
+    for kind, key in (("method", method), ("schedule", schedule)):
+        known = section_of(shared, source, f"{kind}s", dict)
+        if key not in known:
+            raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
+    recipes = section_of(shared, source, "avatars", dict)
+    recipe = method if method in recipes else DEFAULT_AVATAR  # of methods without one of their own
+    path = home.folder / PARAMS
+    if path.is_file():
+        content = _own(path, name, video)
+    else:
+        read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
+        content = _new(name, video)
+    kind = section_of(shared, source, f"avatars.{recipe}.model.kind", str)
+    content = _with_method(content, name, method, recipe, kind) | {"schedule": schedule}
+    if home.independent:
+        content["bodies"] = {BODY: section_of(shared, source, f"bodies.{BODY}", dict)} | content[
+            "bodies"
+        ]
+    snapshots = section_of(shared, source, "snapshots", int)
+    content = {"snapshots": snapshots} | content
+    content |= {"shared": f"{home.up}/{PARAMS}", "from": _places(content, home.up)}
+    home.install()
+    _write(path, content)
+    check_parameters(path)
+    return home
+
+
+def name_of(video: Path) -> str:
+    """A name for an avatar, from its file's."""
+    name = re.sub(r"[^a-z0-9]+", "_", video.stem.lower()).strip("_")
+    return name if name[:1].isalpha() else f"v_{name}" if name else "video"
+
+
+def _new(name: str, video: Path) -> dict[str, Any]:
+    clip = {
+        "source": "monocular",
+        "path": str(video.resolve()),
+        "frames": [0, None],
+        "stride": 1,
+        "fps": 30.0,
+        "image_height": 720,
+        "focal": "estimated",
+        "field_of_view": 60.0,
+        "exposure_s": None,
+        "shutter": 0.5,
+        "averaging_space": "linear",
+        "held_out": 0.0,
+        "keypoints": None,
+        "masks": None,
+        "poses": None,
+    }
+    scene = {
+        "body": BODY,
+        "clip": clip,
+        "blur": {"frames": "interpolated", "factor": 8, "window": 33, "averaging_space": "linear"},
+        "preprocess": {
+            "poses": "estimated",
+            "masks": "estimated",
+            "background": "auto",
+            # By the detector's guess and feet that stand; refined on one camera alone it drifts.
+            "depth": "known",
+            "margin": 0.1,
+            "validation_stride": 10,
+        },
+    }
+    return {
+        "seed": 0,
+        "schedule": "large",
+        "scenes": {name: scene},
+        "warmups": {},
+        "runs": {},
+        "self_checks": {},
+        "animations": {},
+        "exports": {},
+    }
+
+
+def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
+    """What is in an avatar's file, once it is of this video and can be added to."""
+    content: dict[str, Any] = read_yaml(path)
+    known = section_of(content, path, f"scenes.{name}.clip.path", str)
+    for section in ("self_checks", "exports"):  # older files have none
+        content.setdefault(section, {})
+    for section in ADDED_TO:
+        section_of(content, path, section, dict)
+    if not _same_file(known, video):
+        raise ConfigError(
+            f"{path} is of {known!r}; choose another --name for {video}, or change it"
+        )
+    return content
+
+
+def _same_file(known: str, video: Path) -> bool:
+    try:
+        return os.path.realpath(known) == os.path.realpath(video)
+    except ValueError:  # letters that no path can have
+        return False
+
+
+def _files(kind: str) -> dict[str, Any]:
+    """What other programs open of an avatar of this kind; a page, where it has no networks."""
+    motion = {"fps": 30.0, "seconds": 8.0}
+    motions = {"motions": ["own", "builtin:jumping_jacks"], **motion}
+    page = {PAGE: {"format": "page", **motions, "pictures": 12}}
+    return (page if kind == PLAIN else {}) | {
+        "rig.glb": {"format": "gltf_rig", **motions},
+        "pose.ply": {"format": "ply", "frame": 0},
+        "motion.bvh": {"format": "bvh", "motion": "own", **motion},
+        "motion.npz": {"format": "npz"},
+    }
+
+
+def _with_method(
+    content: dict[str, Any], name: str, method: str, avatar: str, kind: str
+) -> dict[str, Any]:
+    """Add a run, its turntable and its files; what is there stays."""
+    warmup = {"scene": name, "observations": "blurred", "avatar": avatar}
+    animation = {
+        "scene": name,
+        "motion": "own",
+        "start": 0.0,
+        "seconds": 8.0,
+        "fps": 24.0,
+        "image_size": 512,
+        "turns": 1.0,
+        "travel": 0.0,
+        "margin": 0.06,
+    }
+    run, trained = f"{name}-{method}", warmup | {"method": method}
+    return (
+        {
+            "bodies": {},
+            "predeblur": {},
+            "checks": [name],
+            "learning_curves": {},
+            "reports": ["reports"],
+            "without_pictures": [],
+        }
+        | content
+        | {
+            "warmups": {f"{name}-blurred-{avatar}": warmup} | content["warmups"],
+            "runs": {run: trained} | content["runs"],
+            "self_checks": {run: trained} | content["self_checks"],
+            "animations": {run: animation} | content["animations"],
+            "exports": {run: {"scene": name, "files": _files(kind)}} | content["exports"],
+        }
+    )
+
+
+def _places(content: dict[str, Any], up: str) -> dict[str, str]:
+    """Where the pipeline finds what an avatar's folder does not make or say: at the root."""
+    sections = ("schedules", "avatars", "methods", "check")
+    return {
+        "root": up,
+        "bodies": "data/body" if content["bodies"] else f"{up}/data/body",
+        "footage": "data",
+        **{name: PARAMS if name in content else f"{up}/{PARAMS}" for name in sections},
+    }
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    yaml = YAML()
+    yaml.width = 100
+    yaml.representer.add_representer(
+        type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null")
+    )
+    with path.open("w") as file:
+        file.write(HEADER)
+        yaml.dump(content, file)

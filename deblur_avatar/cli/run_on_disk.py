@@ -1,0 +1,163 @@
+"""A run as it lies on disk, finished or on its way: the newest avatar, and how far fitting is.
+
+Read from what the fitting stages write anyway (`training/resume.py`): a folder for each stage that
+has ended, and beside it `.<item>.unfinished` while it runs, with a snapshot now and then and a save
+of everything every 20 s. Nothing is written, and no lock is taken.
+"""
+
+import json
+import logging
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.cli.homes import PARAMS
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.config.runs import RunParams
+from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.motion.frame import FixedMotion
+from deblur_avatar.training.resume import Snapshot
+from deblur_avatar.training.schedule import ScheduleParams
+
+logger = logging.getLogger(__name__)
+
+STAGES = ("warmup", "trajectory", "fusion")  # in their order
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An avatar that lies on disk."""
+
+    place: Path
+    iteration: int
+    whole: bool  # a stage's own output, not a snapshot
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far a run is."""
+
+    iteration: int
+    last: int  # iteration of the whole run
+    seconds: float | None  # of fitting in the present stage, of all iterations that it has made
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing more is to come."""
+        return self.iteration >= self.last
+
+
+class RunOnDisk:
+    """The folders of one run.
+
+    Raises:
+        ConfigError: if the parameters do not know it.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        file = folder / PARAMS
+        self.name = name
+        self.run: RunParams = load_params(file, f"runs.{name}", RunParams)
+        self._footage = folder / load_params(file, "from.footage", str)
+        chosen = load_params(file, "schedule", str)
+        self.schedule: ScheduleParams = load_params(file, f"schedules.{chosen}", ScheduleParams)
+        run = self.run
+        self.warmup = f"{run.scene}-{run.observations}-{run.avatar}"  # what it goes on from
+        self._outs = {
+            stage: folder / "data" / stage / (self.warmup if stage == "warmup" else name)
+            for stage in STAGES
+        }
+
+    def observations(self) -> Observations:
+        """What it is fitted to.
+
+        Raises:
+            ArtifactError: if that was not made yet.
+        """
+        run = self.run
+        return Observations.load(self._footage / "preprocess" / run.scene / run.observations)
+
+    def newest(self) -> Kept | None:
+        """The newest avatar; None before the first snapshot."""
+        return next(self._newest_first(), None)
+
+    def fitted(self, kept: Kept, observations: Observations) -> FittedRun:
+        """What can be shown of an avatar on its way.
+
+        Raises:
+            ArtifactError: if it is damaged, or was thrown away in between.
+        """
+        if not kept.whole:
+            snapshot = Snapshot.load(kept.place)
+            avatar, motion = snapshot.avatar, snapshot.motion
+        else:
+            avatar = Avatar.load(kept.place / "avatar")
+            motion = self._motion(kept.place, avatar, observations)
+        last = self.schedule.fusion
+        far = "" if kept.iteration >= last else f", step {kept.iteration} of {last}"
+        return FittedRun(f"{self.name}{far}", avatar, motion, observations)
+
+    def standing(self) -> Standing:
+        """How far it is, by the newest save or avatar."""
+        kept = self.newest()
+        iteration, seconds = (0 if kept is None else kept.iteration), None
+        running = self._running()
+        if running is not None:
+            for save in sorted(self._unfinished(running).glob("after_*"), reverse=True):
+                found = _number(save.name)
+                if found >= iteration:
+                    iteration, seconds = found, _seconds(save)
+                break
+        return Standing(iteration, self.schedule.fusion, seconds)
+
+    def seconds_left(self) -> float | None:
+        """What is left of fitting at the present stage's pace; None where that is not known."""
+        standing, stage = self.standing(), self._running()
+        if stage is None or standing.seconds is None:
+            return None
+        begun = 0 if stage == "warmup" else getattr(self.schedule, STAGES[STAGES.index(stage) - 1])
+        made = standing.iteration - begun
+        return None if made <= 0 else standing.seconds / made * (standing.last - standing.iteration)
+
+    def _motion(self, place: Path, avatar: Avatar, observations: Observations) -> Motion:
+        if (place / "motion").is_dir():
+            return Motion.load(place / "motion")
+        given = FixedMotion(observations.poses)  # the warm-up keeps them
+        return given.to_artifact(avatar.betas, observations.timestamps)
+
+    def _unfinished(self, stage: str) -> Path:
+        out = self._outs[stage]
+        return out.with_name(f".{out.name}.unfinished")
+
+    def _running(self) -> str | None:
+        """The stage that was at work last and has not ended."""
+        begun = [stage for stage in STAGES if self._unfinished(stage).is_dir()]
+        return max(begun, key=lambda s: self._unfinished(s).stat().st_mtime, default=None)
+
+    def _newest_first(self) -> Iterator[Kept]:
+        """While a stage runs, what later stages left is of an earlier fit."""
+        running = self._running()
+        stages = STAGES if running is None else STAGES[: STAGES.index(running) + 1]
+        for stage in reversed(stages):
+            if stage == running:
+                snapshots = self._unfinished(stage) / "snapshots"
+                for place in sorted(snapshots.glob("[0-9]*"), reverse=True):
+                    yield Kept(place, _number(place.name), whole=False)
+            elif (self._outs[stage] / "avatar").is_dir():
+                yield Kept(self._outs[stage], getattr(self.schedule, stage), whole=True)
+
+
+def _number(name: str) -> int:
+    return int(re.sub(r"\D", "", name))
+
+
+def _seconds(save: Path) -> float | None:
+    """Of fitting, from a save that may be thrown away at any moment."""
+    try:
+        return float(json.loads((save / "manifest.json").read_text())["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

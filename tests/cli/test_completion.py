@@ -1,0 +1,72 @@
+import contextlib
+import io
+import shutil
+import subprocess
+
+import pytest
+
+from deblur_avatar.cli.main import COMMANDS, main
+
+
+@pytest.fixture(scope="module")
+def scripts():
+    """What is printed for each shell."""
+    found = {}
+    for shell in ("bash", "zsh", "fish"):
+        with contextlib.redirect_stdout(io.StringIO()) as said:
+            assert main(["completion", shell]) == 0
+        found[shell] = said.getvalue()
+    return found
+
+
+def completed(script: str, line: str) -> set[str]:
+    """What bash offers for the last word of a line."""
+    words = line.split(" ")
+    program = (
+        f"{script}\nCOMP_WORDS=({' '.join(word or chr(39) * 2 for word in words)})\n"
+        f"COMP_CWORD={len(words) - 1}\n_deblur_avatar\nprintf '%s\\n' \"${{COMPREPLY[@]}}\""
+    )
+    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("deblur-avatar vi", {"video", "view"}),
+        ("deblur-avatar video --sch", {"--schedule"}),
+        ("deblur-avatar export x --format gl", {"gltf_rig", "gltf_splats"}),
+        ("deblur-avatar completion z", {"zsh"}),
+        ("deblur-avatar video cl", set()),  # files
+    ],
+)
+def test_bash_completes_commands_options_and_choices(scripts, line, offered):
+    assert completed(scripts["bash"], line) == offered
+
+
+def test_bash_knows_every_command(scripts):
+    assert completed(scripts["bash"], "deblur-avatar ") == {*COMMANDS, "--help"}
+
+
+def test_zsh_takes_the_function_of_bash(scripts):
+    assert scripts["zsh"].startswith("#compdef deblur-avatar\n")
+    assert scripts["zsh"].endswith(scripts["bash"])
+
+
+def test_fish_has_a_line_for_every_command_and_option(scripts):
+    lines = scripts["fish"].splitlines()
+    assert sum("__fish_use_subcommand" in line for line in lines) == len(COMMANDS)
+    (line,) = [line for line in lines if "from export'" in line and "-l format" in line]
+    assert " -x -a '" in line
+    assert "gltf_rig" in line
+    assert all(line.startswith("complete -c deblur-avatar -n ") for line in lines)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_reads_its_script(scripts, shell, tmp_path):
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell}")
+    path = tmp_path / "script"
+    path.write_text(scripts[shell])
+    done = subprocess.run([shell, "-n", path], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

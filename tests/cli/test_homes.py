@@ -1,0 +1,70 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.cli import homes
+from deblur_avatar.cli.avatar_params import prepare
+from deblur_avatar.cli.homes import home_of
+from deblur_avatar.errors import ArtifactError, ConfigError
+from tests.sources.small_videos import picture, write_video
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The home of one's own video, far from any checkout."""
+    monkeypatch.chdir(tmp_path)
+    video = write_video(tmp_path / "clip.mp4", [picture(index) for index in range(3)])
+    return prepare(video, "clip", "lean", "medium", Path()).folder
+
+
+def test_far_from_a_checkout_a_folder_has_all_that_a_pipeline_needs(folder):
+    assert folder == Path("clip")
+    listed = subprocess.run(
+        [sys.executable, "-m", "dvc", "stage", "list", "--name-only"],
+        cwd=folder, capture_output=True, text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    assert {"code", "body@anny", "check@clip", "fusion@clip-lean", "export@clip-lean"} <= set(
+        listed
+    )
+    code = subprocess.run(
+        [sys.executable, "pipeline/stages/code.py", "--root", "pipeline", "--out", "code.json"],
+        cwd=folder, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert code.returncode == 0, code.stderr
+
+
+def test_its_pipeline_follows_the_package_and_its_parameters_stay(folder):
+    own = folder / "params.yaml"
+    own.write_text(own.read_text().replace("field_of_view: 60.0", "field_of_view: 75.0"))
+    stale = folder / "pipeline/stages/old.py"
+    stale.touch()
+    (folder / "dvc.yaml").write_text("stages: {}")
+    prepare(Path("clip.mp4"), "clip", "lean", "medium", Path())
+    assert not stale.exists()
+    assert (folder / "dvc.yaml").read_bytes() == (ROOT / "dvc.yaml").read_bytes()
+    assert (folder / "pipeline/params.yaml").read_bytes() == (ROOT / "params.yaml").read_bytes()
+    assert "field_of_view: 75.0" in own.read_text()
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(tmp_path):
+    (tmp_path / "clip").mkdir()
+    with pytest.raises(ConfigError, match="holds no avatar; choose another --name"):
+        home_of("clip", tmp_path)
+
+
+def test_a_disk_that_refuses_is_named(tmp_path):
+    home = home_of("clip", tmp_path)
+    (tmp_path / "clip").touch()
+    with pytest.raises(ArtifactError, match=f"cannot write {tmp_path}/clip"):
+        home.install()
+
+
+def test_an_installed_wheel_brings_its_files_itself(tmp_path, monkeypatch):
+    package = tmp_path / "deblur_avatar"
+    (package / "pipeline_files").mkdir(parents=True)
+    monkeypatch.setattr(homes.deblur_avatar, "__file__", str(package / "__init__.py"))
+    assert homes.pipeline_files() == package / "pipeline_files"
