@@ -249,6 +249,12 @@ def test_what_one_draw_could_not_measure_has_no_mean():
     assert row == {"score": 2.0, "a": None, "b": False, "scores": [1.0, 3.0]}
 
 
+def test_of_several_times_the_shortest_counts():
+    draws = [{"score": 1.0, "seconds": 9.0, "processor_s": s} for s in (4.0, 2.0, 3.0)]
+    assert mean_of_draws(draws)["processor_s"] == 2.0
+    assert mean_of_draws(draws)["score"] == 1.0
+
+
 def test_what_a_severity_asks_for_must_exist(suite):
     with pytest.raises(ConfigError, match="fit has no \\['speed'\\]"):
         _run(suite, one_mode(a=severity(speed=1.0)), "lean")
