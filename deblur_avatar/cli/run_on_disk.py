@@ -85,6 +85,11 @@ class RunOnDisk:
         """The newest avatar; None before the first snapshot."""
         return next(self._newest_first(), None)
 
+    def all_kept(self) -> list[Kept]:
+        """All avatars on the way to the newest, in their order."""
+        by_iteration = {kept.iteration: kept for kept in self._newest_first()}
+        return [by_iteration[iteration] for iteration in sorted(by_iteration)]
+
     def fitted(self, kept: Kept, observations: Observations) -> FittedRun:
         """What can be shown of an avatar on its way.
 
@@ -143,12 +148,11 @@ class RunOnDisk:
         running = self._running()
         stages = STAGES if running is None else STAGES[: STAGES.index(running) + 1]
         for stage in reversed(stages):
-            if stage == running:
-                snapshots = self._unfinished(stage) / "snapshots"
-                for place in sorted(snapshots.glob("[0-9]*"), reverse=True):
-                    yield Kept(place, _number(place.name), whole=False)
-            elif (self._outs[stage] / "avatar").is_dir():
-                yield Kept(self._outs[stage], getattr(self.schedule, stage), whole=True)
+            out = self._unfinished(stage) if stage == running else self._outs[stage]
+            if stage != running and (out / "avatar").is_dir():
+                yield Kept(out, getattr(self.schedule, stage), whole=True)
+            for place in sorted((out / "snapshots").glob("[0-9]*"), reverse=True):
+                yield Kept(place, _number(place.name), whole=False)
 
 
 def _number(name: str) -> int:

@@ -82,11 +82,8 @@ def run(asked: argparse.Namespace) -> int:
 def targets(name: str, method: str) -> list[list[str]]:
     """What to ask DVC for, in order: the check, then everything of the method asked for."""
     run = f"{name}-{method}"
-    made = (
-        f"check@{name}",
-        *(f"{s}@{run}" for s in ("self_check", "export", "animate", "evaluate")),
-    )
-    return [*([stage] for stage in made), ["--single-item", "report"]]
+    made = [f"{stage}@{run}" for stage in ("self_check", "export", "animate", "evaluate")]
+    return [[f"check@{name}"], made, ["--single-item", "report"]]
 
 
 def _first_look(home: Home, run: str) -> int:

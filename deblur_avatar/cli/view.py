@@ -1,19 +1,21 @@
-"""Turn a fitted avatar by hand in a browser, networks and all.
+"""Turn an avatar by hand in a browser, networks and all, also while it is fitted.
 
 Pictures are drawn by the rasterizer on this machine and sent to a browser on it; nobody else can
 reach them. Ends with Ctrl-C. For a file to send to someone: `deblur-avatar export --format page`.
+
+All runs of the same scene that have an avatar can be chosen. One that is still fitted is shown as
+the newest snapshot has it, with how far it is and how well each snapshot explains blurred frames
+that were set aside; `deblur-avatar video` in another terminal is not disturbed.
 """
 
 import argparse
 import logging
 
-from deblur_avatar.cli.export import find_run, load_run
+from deblur_avatar.cli.export import find_run
+from deblur_avatar.cli.shelf import SceneRuns
 from deblur_avatar.exports.live_viewer import LiveViewer
-from deblur_avatar.exports.shown_motion import shown_motions
 
 logger = logging.getLogger(__name__)
-
-SECONDS, FPS = 10.0, 30.0  # of motions that were not filmed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,10 +33,12 @@ def run(asked: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: if there is no such run or motion, or viser is not installed.
-        ArtifactError: if the run was not made yet.
+        ArtifactError: if the run has no avatar yet.
     """
-    fitted = load_run(*find_run(asked.run))
-    viewer = LiveViewer(fitted, shown_motions(fitted, asked.motions, FPS, SECONDS), asked.port)
+    shelf = SceneRuns(*find_run(asked.run), asked.motions)
+    first = shelf.news(shelf.names[0])
+    assert first is not None  # nothing was asked for before
+    viewer = LiveViewer(first, shelf.motions(first), asked.port, shelf)
     logger.info("%s (Ctrl-C ends it)", viewer.address)
     viewer.run()
     return 0

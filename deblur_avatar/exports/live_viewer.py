@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
-from deblur_avatar.errors import ConfigError
+from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.shown_motion import ShownMotion, poses_at
 from deblur_avatar.exports.upright import Upright, rest_pelvis, upright_of
@@ -33,6 +33,7 @@ logger = logging.getLogger(__name__)
 HOST = "127.0.0.1"  # nobody else's business
 MOVING, RESTING = 320, 768  # pixels of the longer side
 REST = 0.4  # seconds without a change, after which pictures are large
+NEWS = 2.0  # seconds between two looks at what a fit has left on disk
 PAUSE = 0.02  # seconds between two looks at what has changed
 INSTANTS = 9  # of an exposure
 LONGEST_SHUTTER = 0.1  # seconds
@@ -79,10 +80,45 @@ class Shown:
         return self.seconds + u * self.shutter
 
 
-class LiveViewer:
-    """A server with a page of its own; `step` draws what has changed."""
+@runtime_checkable
+class Shelf(Protocol):
+    """Runs of one scene that a viewer can show, some of them perhaps still fitted."""
 
-    def __init__(self, run: FittedRun, motions: Sequence[ShownMotion], port: int) -> None:
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the runs; the first is shown first."""
+        ...
+
+    def news(self, name: str) -> FittedRun | None:
+        """A run's avatar, if it is not what was asked for last."""
+        ...
+
+    def motions(self, run: FittedRun) -> Sequence[ShownMotion]:
+        """What it can be shown in."""
+        ...
+
+    def status(self, name: str) -> str:
+        """How far fitting is, in a sentence."""
+        ...
+
+    def curve(self, name: str) -> list[tuple[int, float]]:
+        """Steps of fitting, and how well the avatar of then explains blurred frames, dB."""
+        ...
+
+
+class LiveViewer:
+    """A server with a page of its own; `step` draws what has changed.
+
+    Args:
+        run: what is shown first.
+        motions: what it can be shown in.
+        port: on this machine; 0 for any that is free.
+        shelf: what can be chosen instead, and what is new of it.
+    """
+
+    def __init__(
+        self, run: FittedRun, motions: Sequence[ShownMotion], port: int, shelf: Shelf | None = None
+    ) -> None:
         try:
             import viser
         except ImportError:
@@ -93,7 +129,8 @@ class LiveViewer:
         self._motions = {motion.label: motion for motion in motions}
         self._drawn: dict[int, Any] = {}  # what each browser saw last
         self._changed: dict[int, float] = {}  # and when that was new
-        self._server = viser.ViserServer(host=HOST, port=port, label=run.name, verbose=False)
+        label = run.name if shelf is None else "deblur_avatar"  # which run is said below
+        self._server = viser.ViserServer(host=HOST, port=port, label=label, verbose=False)
         self._look(run)
         gui = self._server.gui
         self._motion = gui.add_dropdown("Motion", tuple(self._motions))
@@ -101,6 +138,12 @@ class LiveViewer:
         self._time: Any = gui.add_slider("Time", 0.0, 1.0, 0.001, 0.0)  # of the whole motion
         self._shutter = gui.add_slider("Shutter (ms)", 0.0, 1000 * LONGEST_SHUTTER, 1.0, 0.0)
         self._last = time.monotonic()
+        self._shelf, self._looked = shelf, -math.inf
+        self._curve: Any = None
+        if shelf is not None:
+            self._name = gui.add_dropdown("Run", tuple(shelf.names))
+            self._shown_name = self._name.value
+            self._status = gui.add_markdown(shelf.status(self._shown_name))
 
     @property
     def address(self) -> str:
@@ -122,6 +165,8 @@ class LiveViewer:
 
     def step(self) -> int:
         """Send every browser the picture that it does not have yet; returns how many were sent."""
+        if self._shelf is not None:
+            self._look_for_news(self._shelf)
         self._advance()
         return sum(self._send(client) for client in self._server.get_clients().values())
 
@@ -131,6 +176,44 @@ class LiveViewer:
         poses = poses_at(shown.motion, shown.times())
         image, _ = render_avatar(self._model, poses, camera, average=len(poses.transl) > 1)
         return (image[0] * 255).round().to(torch.uint8).numpy()
+
+    def _look_for_news(self, shelf: Shelf) -> None:
+        """Now and then, and at once if somebody chooses, show what is the newest."""
+        name, now = self._name.value, time.monotonic()
+        if name == self._shown_name and now - self._looked < NEWS:
+            return
+        self._shown_name = name
+        try:
+            run = shelf.news(name)
+            if run is not None:
+                self._show(run, shelf.motions(run))
+            self._status.content = shelf.status(name)
+            self._draw_curve(shelf.curve(name))
+        except ArtifactError as error:  # a snapshot that was thrown away in between
+            logger.warning("%s", error)
+        self._looked = time.monotonic()
+
+    def _show(self, run: FittedRun, motions: Sequence[ShownMotion]) -> None:
+        """Put another avatar in the place of the one shown; the camera stays."""
+        device = torch.device("cpu")
+        self._model = avatar_from_artifact(run.avatar, run.observations.body, device)
+        self._motions = {motion.label: motion for motion in motions}
+        self._drawn.clear()
+
+    def _draw_curve(self, points: list[tuple[int, float]]) -> None:
+        if len(points) < 2:  # a line needs two
+            return
+        import viser
+
+        data = tuple(np.array(column, float) for column in zip(*points, strict=True))
+        if self._curve is None:
+            line = viser.uplot.Series(label="dB", stroke="#2b6cb0", width=2)
+            self._curve = self._server.gui.add_uplot(
+                data, (viser.uplot.Series(label="step"), line), title="Blurred frames explained",
+                scales={"x": viser.uplot.Scale(time=False)}, aspect=1.6,
+            )  # fmt: skip
+        else:
+            self._curve.data = data
 
     def _look(self, run: FittedRun) -> None:
         """Begin where the filming camera stood."""

@@ -20,7 +20,12 @@ def project(tmp_path, monkeypatch, scene):
             scene.avatar.save(place / "data/fusion" / name / "avatar")
             scene.motion.save(place / "data/fusion" / name / "motion")
         scene.observations.save(place / "data/preprocess/capsules/blurred")
-        content = {"from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run)}
+        sizes = {"gaussians": 80, "image_height": 24, "levels": []}
+        content = {
+            "from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run),
+            "schedule": "tiny",
+            "schedules": {"tiny": {"warmup": 6, "trajectory": 12, "fusion": 18} | sizes},
+        }  # fmt: skip
         with (place / "params.yaml").open("w") as file:
             YAML().dump(content, file)
     monkeypatch.chdir(tmp_path)

@@ -13,7 +13,7 @@ from PIL import Image
 
 from deblur_avatar.avatars.networks_avatar import NetworksAvatar
 from deblur_avatar.avatars.render import render_avatar
-from deblur_avatar.errors import ConfigError
+from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.exports.live_viewer import LiveViewer, Shown, View
 from deblur_avatar.exports.shown_motion import shown_motions
 from deblur_avatar.exports.upright import upright_of
@@ -111,6 +111,53 @@ def test_a_browser_is_sent_what_changes_and_no_more(viewer, browser):
     page.wait_for_timeout(500)
     assert np.abs(seen() - before).max() > 40
     context.close()
+
+
+class Offered:
+    """Two avatars to choose from."""
+
+    names = ("dim", "bright")
+
+    def __init__(self, runs):
+        self.runs, self.last = runs, None
+
+    def news(self, name):
+        before, self.last = self.last, name
+        return None if name == before else self.runs[name]
+
+    def motions(self, run):
+        return shown_motions(run, ("own",), 30.0, 1.0)
+
+    def status(self, name):
+        return f"of {name}"
+
+    def curve(self, name):
+        if name == "dim":
+            raise ArtifactError("no snapshot/1")  # thrown away in between
+        return [(1, 20.0), (4, 25.0)]
+
+
+def test_another_run_is_shown_once_it_is_chosen(rough, fitted_run, caplog):
+    imported("viser")
+    runs = {}
+    for name, level in (("dim", -4.0), ("bright", 4.0)):
+        model = rough()
+        with torch.no_grad():
+            model.gaussians.features.fill_(level)
+        runs[name] = fitted_run(model, name)
+    shelf = Offered(runs)
+    viewer = LiveViewer(runs["dim"], shelf.motions(runs["dim"]), 0, shelf)
+    shown = Shown(shelf.motions(runs["dim"])[0], 0.0, 0.0)
+    viewer.step()
+    assert "no snapshot/1" in caplog.text
+    assert viewer.picture(filming(runs["dim"]), shown, 24).max() < 40
+    viewer._name.value = "bright"
+    viewer.step()
+    viewer.step()
+    assert viewer.picture(filming(runs["dim"]), shown, 24).max() > 200
+    assert viewer._status.content == "of bright"
+    assert [list(column) for column in viewer._curve.data] == [[1, 4], [20, 25]]
+    viewer.stop()
 
 
 def test_without_viser_the_error_says_what_to_install(networks_run, monkeypatch):

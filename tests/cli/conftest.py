@@ -1,0 +1,59 @@
+"""A run that is being fitted: what it leaves on disk, written as fitting writes it."""
+
+import dataclasses
+import shutil
+
+import pytest
+import torch
+from ruamel.yaml import YAML
+
+from deblur_avatar.training.resume import Snapshot, run_folder
+
+ENDS = {"warmup": 6, "trajectory": 12, "fusion": 18}
+
+
+@pytest.fixture
+def fitting(tmp_path, scene):
+    """A run of which nothing was fitted yet."""
+    run = {"scene": "capsules", "observations": "blurred", "avatar": "lean", "method": "lean"}
+    sizes = {"gaussians": 80, "image_height": 24, "levels": []}
+    content = {
+        "from": {"footage": "data"}, "schedule": "tiny", "schedules": {"tiny": ENDS | sizes},
+        "runs": {"anna-lean": run, "anna-other": run | {"scene": "elsewhere"},
+                 "anna-agnostic": run | {"method": "agnostic"}},
+    }  # fmt: skip
+    scene.observations.save(tmp_path / "data/preprocess/capsules/blurred")
+    with (tmp_path / "params.yaml").open("w") as file:
+        YAML().dump(content, file)
+    return tmp_path
+
+
+@pytest.fixture
+def begin(fitting, scene):
+    """Begin a stage, let it come to some iterations, and stop it there."""
+
+    def begin(stage, snapshots=(), saved=None, seconds=0.0, name="anna-lean"):
+        item = "capsules-blurred-lean" if stage == "warmup" else name
+        with run_folder(fitting / "data" / stage / item, "key", frozenset(snapshots)) as place:
+            for iteration in snapshots:
+                avatar = dataclasses.replace(scene.avatar, iteration=iteration)
+                place.keep(iteration, 1.0, Snapshot(avatar=avatar, motion=scene.motion))
+            if saved is not None:
+                place.save(saved, seconds, 0, {"model.means": torch.zeros(3)})
+
+    return begin
+
+
+@pytest.fixture
+def end(fitting, scene):
+    """End a stage, as its script does."""
+
+    def end(stage, name="anna-lean"):
+        item = "capsules-blurred-lean" if stage == "warmup" else name
+        out = fitting / "data" / stage / item
+        scene.avatar.save(out / "avatar")
+        if stage != "warmup":
+            scene.motion.save(out / "motion")
+        shutil.rmtree(out.with_name(f".{out.name}.unfinished"), ignore_errors=True)
+
+    return end
