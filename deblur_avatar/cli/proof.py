@@ -54,12 +54,14 @@ def run(asked: argparse.Namespace) -> int:
     if asked.plan:
         return 0
     code = reproduce(roots_stages(plan, scenes))
+    if code:
+        return code
     with ThreadPoolExecutor(asked.at_once) as pool:
         codes = list(pool.map(lambda scene: _reproduce_scene(plan, scene, cells), scenes))
-    failed = [code, *codes]
-    return next((code for code in failed if code), 0) or reproduce(
-        ["--single-item", str(FOLDER / "dvc.yaml")], refreshed=True
-    )
+    failed = [code for code in codes if code]
+    if failed:
+        return failed[0]
+    return reproduce(["--single-item", str(FOLDER / "dvc.yaml")], refreshed=True)
 
 
 def is_there(cell: Cell) -> bool:

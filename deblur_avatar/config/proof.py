@@ -17,6 +17,8 @@ from deblur_avatar.errors import ConfigError
 
 PIPELINE = "scene.dvc.yaml"  # what each scene's pipeline is a copy of
 WRITTEN = "Written by `make code` from what params.yaml says above."
+# What may be a column: tables have all of them, fitted or not.
+MOTIONS = ("agnostic", "pair", "paper", "mad", "clip", "oracle", "oracle_clip", "ceiling")
 FLOOR = "agnostic"  # the motion whose fit a warm-up's cost is a share of
 
 
@@ -95,6 +97,10 @@ def load_plan(path: Path) -> ProofParams:
         ConfigError: for a section that cannot be run, or a name that stands for nothing.
     """
     plan: ProofParams = load_params(path, "proof", ProofParams)
+    for name in plan.columns.keys() - set(MOTIONS):
+        raise ConfigError(
+            f"{path}: proof.columns: no table has a column {name!r}; there is {', '.join(MOTIONS)}"
+        )
     known = {
         "scenes": plan.scenes.keys(),
         "schedules": load_params(path, "schedules", dict).keys(),

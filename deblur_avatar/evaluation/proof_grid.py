@@ -11,14 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from deblur_avatar import run
-from deblur_avatar.config.proof import Cell, ProofParams, cells_of, warmup_of
+from deblur_avatar.config.proof import MOTIONS, Cell, ProofParams, cells_of, warmup_of
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.costs import read_costs, with_seconds
 from deblur_avatar.evaluation.metrics import METRICS
 from deblur_avatar.evaluation.recovery import Result, averaged, compared, standard_deviations
-
-# Columns that tables have, whether or not anybody has fitted them.
-MOTIONS = ("agnostic", "pair", "paper", "mad", "clip", "oracle", "oracle_clip", "ceiling")
 
 
 @dataclass(frozen=True)
@@ -85,9 +82,32 @@ def grid_of(found: Sequence[Found], scene: str, schedule: str) -> Grid:
         results = {seed: compared(motions) for seed, motions in seeds.items()}
         grid[avatar] = {
             motion: _entry({s: r[motion] for s, r in results.items() if motion in r})
-            for motion in dict.fromkeys(m for motions in seeds.values() for m in motions)
+            for motion in MOTIONS
+            if any(motion in motions for motions in seeds.values())
         }
     return grid
+
+
+def pooled_grid(grids: Sequence[Grid]) -> Grid:
+    """The mean over scenes of cells that all of them have; its scatter is over scenes.
+
+    Recovery is that of the means, not the mean of recoveries, which a scene with little blur would
+    rule.
+    """
+    pooled: Grid = {}
+    for avatar in dict.fromkeys(avatar for grid in grids for avatar in grid):
+        rows = [grid.get(avatar, {}) for grid in grids]
+        common = [motion for motion in rows[0] if all(motion in row for row in rows)]
+        means = compared({m: averaged([row[m].mean for row in rows]) for m in common})
+        pooled[avatar] = {
+            motion: Entry(
+                tuple(sorted({seed for row in rows for seed in row[motion].seeds})),
+                means[motion],
+                standard_deviations([row[motion].mean for row in rows]),
+            )
+            for motion in common
+        }
+    return pooled
 
 
 def _entry(results: Mapping[int, Result]) -> Entry:
@@ -96,9 +116,11 @@ def _entry(results: Mapping[int, Result]) -> Entry:
 
 
 def schedules_of(found: Sequence[Found], scene: str) -> list[str]:
-    """The schedules that a scene has cells in, those with most cells first."""
-    names = [one.cell.schedule for one in found if one.cell.scene == scene]
-    return sorted(dict.fromkeys(names), key=lambda name: -names.count(name))
+    """The schedules that a scene has cells in: those with most cells first, then the longest."""
+    here = [one for one in found if one.cell.scene == scene]
+    names = [one.cell.schedule for one in here]
+    lengths = {one.cell.schedule: one.result["run"]["iterations"] for one in here}
+    return sorted(lengths, key=lambda name: (-names.count(name), -lengths[name]))
 
 
 def numbers_of(entry: Entry | None) -> dict[str, Any] | None:

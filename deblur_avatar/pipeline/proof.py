@@ -6,25 +6,26 @@ null. Equal results give equal bytes.
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from deblur_avatar import run
-from deblur_avatar.config.proof import ProofParams
+from deblur_avatar.config.proof import MOTIONS, ProofParams
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.metrics import metric
 from deblur_avatar.evaluation.proof_grid import (
-    MOTIONS,
     Found,
     Grid,
     grid_of,
     numbers_of,
+    pooled_grid,
     read_cells,
     schedules_of,
 )
 from deblur_avatar.reporting.charts import drawn
 from deblur_avatar.reporting.page import picture_uri, render_page
-from deblur_avatar.reporting.picture_strips import Strip, strips_of_scene
+from deblur_avatar.reporting.picture_strips import INPUT, TRUTH, Picture, Strip, strips_of_scene
 from deblur_avatar.reporting.proof_charts import quality_chart
 from deblur_avatar.reporting.proof_tables import (
     MAIN,
@@ -41,6 +42,7 @@ from deblur_avatar.reporting.results_table import Table, look_up, markdown, plai
 TEMPLATE = Path(__file__).parent / "proof.html.jinja"
 GRIDS = ("psnr_seen", "psnr", "flip")
 STRIP = ("agnostic", "paper", "clip")  # of each avatar, where it was fitted
+HEADLINES = ("paper", "mad", "clip")  # motions whose recovery stands above all tables
 CHART = "quality_over_time"
 QUALITY = "PSNR of the seen surface, dB"
 
@@ -82,7 +84,8 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
     if not found:
         raise ArtifactError(f"no results in {metrics}; run `make proof`")
     grids = _grids(plan, found)
-    whole = {scene: grid for scene, grid in grids.items() if scene not in _windowed(plan)}
+    whole = {scene: grids[scene] for scene in _in_order(plan) if scene in grids}
+    overall = _overall(plan, whole)
     windows = _windows(plan, grids)
     converged = _converged(plan, found)
     curves = {scene: kept for scene in whole if (kept := _curves(found, scene))}
@@ -91,7 +94,8 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
     page = render_page(
         TEMPLATE,
         about=_about(plan, found),
-        figures=_figures(plan, whole),
+        figures=_figures(overall),
+        overall=[] if overall is None else [grid_table(overall, n, _title(n)) for n in GRIDS],
         quiet=(UNFITTED, UNKNOWN),
         scenes=[
             {
@@ -106,23 +110,40 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
         converged=converged,
         quality=quality[f"{CHART}.svg"].decode() if quality else "",
     )
-    every = [*(t for of_scene in tables.values() for t in of_scene), *windows, *converged]
+    first = [] if overall is None else [grid_table(overall, MAIN, "Report scenes, mean")]
+    every = [*first, *(t for of in tables.values() for t in of), *windows, *converged]
     return ProofReport(
         page=page,
         tables="\n".join(_markdown(given) for given in every),
         summary=_summary(plan, grids),
         charts={**quality, f"{CHART}.json": _rows(curves)},
-        log="\n\n".join(f"{t.title}\n{plain(t)}" for t in (of[0] for of in tables.values())),
+        log="\n\n".join(
+            f"{t.title}\n{plain(t)}" for t in (*first, *(of[0] for of in tables.values()))
+        ),
     )
 
 
 def _grids(plan: ProofParams, found: Sequence[Found]) -> dict[str, Grid]:
     """Each scene's grid in the schedule that most of its cells have."""
-    return {
-        scene: grid_of(found, scene, schedules[0])
-        for scene in plan.scenes
-        if (schedules := schedules_of(found, scene))
-    }
+    grids = {}
+    for scene in plan.scenes:
+        schedules = schedules_of(found, scene)
+        if schedules:
+            grid = grid_of(found, scene, schedules[0])
+            grids[scene] = {avatar: grid[avatar] for avatar in plan.avatars if avatar in grid}
+    return grids
+
+
+def _in_order(plan: ProofParams) -> list[str]:
+    """Scenes that stand alone, report scenes first."""
+    alone = [scene for scene in plan.scenes if scene not in _windowed(plan)]
+    return sorted(alone, key=lambda scene: plan.scenes[scene].kind != "report")
+
+
+def _overall(plan: ProofParams, grids: Mapping[str, Grid]) -> Grid | None:
+    """The mean over the report scenes, where there are several."""
+    of_report = [grid for scene, grid in grids.items() if plan.scenes[scene].kind == "report"]
+    return pooled_grid(of_report) if len(of_report) > 1 else None
 
 
 def _windowed(plan: ProofParams) -> set[str]:
@@ -150,9 +171,14 @@ def _converged(plan: ProofParams, found: Sequence[Found]) -> list[Table]:
 
 def _tables(scene: str, grid: Grid) -> list[Table]:
     return [
-        *(grid_table(grid, name, f"{scene}: {name}") for name in GRIDS),
+        *(grid_table(grid, name, f"{scene}: {_title(name)}") for name in GRIDS),
         cost_table(grid, f"{scene}: what it took"),
     ]
+
+
+def _title(name: str) -> str:
+    row = metric(name)
+    return f"{row.title}, {row.unit}" if row.unit else row.title
 
 
 def _curves(found: Sequence[Found], scene: str) -> dict[str, dict[str, list[tuple[float, float]]]]:
@@ -199,7 +225,8 @@ def _about(plan: ProofParams, found: Sequence[Found]) -> str:
     return (
         f"{len(plan.avatars)} avatars, {len(plan.columns)} motions, {len(found)} fits; "
         f"{shown} report scenes, on which no setting was chosen and whose truth is not the "
-        "fitter's own model. Recovery is taken within one avatar."
+        "fitter's own model. Recovery is the share of what blur costs an avatar that a motion wins "
+        "back for it: (method \u2212 agnostic) / (oracle \u2212 agnostic), all of the same avatar."
     )
 
 
@@ -217,37 +244,39 @@ def _about_scene(plan: ProofParams, found: Sequence[Found], scene: str) -> str:
     return f"{kind} {iterations:,} iterations ({schedule}){spread}."
 
 
-def _figures(plan: ProofParams, grids: Mapping[str, Grid]) -> list[dict[str, str]]:
-    """What each avatar's best motion wins back on each report scene."""
-    figures = []
-    for scene, grid in grids.items():
-        if plan.scenes[scene].kind != "report":
-            continue
-        for avatar, entries in grid.items():
-            shares = {
-                motion: share
-                for motion in ("pair", "paper", "mad", "clip")
-                if motion in entries
-                and (share := look_up(entries[motion].mean, ("recovery", MAIN))) is not None
-            }
-            if shares:
-                best = max(shares, key=lambda motion: shares[motion])
-                number = f"{shares[best]:.2f}".replace("-", "\u2212")
-                figures.append(
-                    {"number": number, "caption": f"{scene}, {avatar}: {best} wins back"}
-                )
-    return figures
+def _figures(overall: Grid | None) -> list[dict[str, str]]:
+    """What each avatar's motions win back over all report scenes."""
+    return [
+        {
+            "number": f"{share:.2f}".replace("-", "\u2212"),
+            "caption": f"of what blur costs, {motion} on {avatar} wins back",
+        }
+        for avatar, entries in (overall or {}).items()
+        for motion in HEADLINES
+        if motion in entries
+        and (share := look_up(entries[motion].mean, ("recovery", MAIN))) is not None
+    ]
 
 
 def _strips(plan: ProofParams, found: Sequence[Found], scene: str, pictures: Path) -> list[Strip]:
-    folders: dict[str, Path] = {}
-    for one in found:
-        cell = one.cell
-        folder = pictures / scene / "evaluate" / cell.name
-        shown = cell.scene == scene and cell.motion in STRIP
-        if shown and cell.schedule == schedules_of(found, scene)[0] and folder.is_dir():
-            folders.setdefault(f"{cell.avatar} {cell.motion}", folder)
-    return strips_of_scene(folders, plan.strips) if folders else []
+    schedule = schedules_of(found, scene)[0]
+    cells = {(one.cell.avatar, one.cell.motion): one.cell for one in reversed(found)
+             if (one.cell.scene, one.cell.schedule) == (scene, schedule)}  # fmt: skip
+    folders = {
+        f"{avatar} {motion}": pictures / scene / "evaluate" / cells[avatar, motion].name
+        for avatar in plan.avatars
+        for motion in STRIP
+        if (avatar, motion) in cells
+    }
+    there = {label: folder for label, folder in folders.items() if folder.is_dir()}
+    strips = strips_of_scene(there, plan.strips) if there else []
+    return [replace(strip, pictures=_ordered(strip.pictures, list(there))) for strip in strips]
+
+
+def _ordered(pictures: Mapping[str, Picture], methods: Sequence[str]) -> dict[str, Picture]:
+    """The input, then methods as they stand in the grid, then the truth."""
+    order = (INPUT, *methods, TRUTH)
+    return {label: pictures[label] for label in order if label in pictures}
 
 
 def _on_page(strips: Sequence[Strip]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from deblur_avatar.config.proof import MOTIONS
 from deblur_avatar.reporting.charts import COLORS, INK, lay_out, legend, panels
 from deblur_avatar.reporting.proof_tables import SETTLED, SHARP, settled_s
 from deblur_avatar.reporting.speed_accuracy import pareto_front
@@ -30,7 +31,7 @@ def quality_chart(scenes: Mapping[str, Curves], quality: str) -> Figure:
     """
     avatars = list(dict.fromkeys(avatar for curves in scenes.values() for avatar in curves))
     motions = {m for curves in scenes.values() for every in curves.values() for m in every}
-    colors = {motion: COLORS[motion] for motion in COLORS if motion in motions}
+    colors = {motion: COLORS[motion] for motion in MOTIONS if motion in motions}
     figure, axes = panels(len(scenes), len(avatars), named=True)
     for line, (scene, curves) in zip(axes, scenes.items(), strict=True):
         front = front_of(curves)
@@ -44,12 +45,18 @@ def quality_chart(scenes: Mapping[str, Curves], quality: str) -> Figure:
             panel.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
             panel.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
             panel.xaxis.set_minor_locator(ticker.NullLocator())
-        for panel in line[1:]:
-            panel.sharey(line[0])
-            panel.sharex(line[0])
+        _align(line)
     legend(figure, colors)
     lay_out(figure)
     return figure
+
+
+def _align(line: Sequence[Axes]) -> None:
+    """Give panels side by side the widest of their axes."""
+    lows, highs = zip(*(panel.get_ylim() for panel in line), strict=True)
+    starts, ends = zip(*(panel.get_xlim() for panel in line), strict=True)
+    for panel in line:
+        panel.set(ylim=(min(lows), max(highs)), xlim=(min(starts), max(ends)))
 
 
 def front_of(curves: Curves) -> list[tuple[float, float]]:

@@ -6,8 +6,9 @@ avatar, or both.
 
 from collections.abc import Mapping, Sequence
 
+from deblur_avatar.config.proof import MOTIONS
 from deblur_avatar.evaluation.metrics import metric
-from deblur_avatar.evaluation.proof_grid import MOTIONS, Entry, Found, Grid
+from deblur_avatar.evaluation.proof_grid import Entry, Found, Grid
 from deblur_avatar.reporting.results_table import (
     Cell,
     Column,
@@ -20,11 +21,6 @@ from deblur_avatar.reporting.speed_accuracy import seconds_to
 
 UNFITTED = "\u2013"  # a cell that nobody has fitted
 UNKNOWN = "blur costs too little"
-MEANINGS = {
-    "agnostic": "no model of blur", "pair": "two poses a frame", "paper": "pair + fusion",
-    "mad": "a spline a frame", "clip": "one trajectory", "oracle": "sharp frames",
-    "oracle_clip": "sharp, one trajectory", "ceiling": "sharp, exact poses",
-}  # fmt: skip
 SHARP = ("oracle", "oracle_clip", "ceiling")
 RECOVERY_DIGITS = 2
 MAIN = "psnr_seen"  # the metric of curves, windows and convergence
@@ -32,11 +28,8 @@ SETTLED = 0.95  # of the final quality: when an avatar is as good as done
 
 
 def columns(motions: Sequence[str]) -> tuple[Column, ...]:
-    """Columns of a grid, with what each motion is; those that saw sharp frames are set back."""
-    return tuple(
-        Column((), motion, MEANINGS[motion], kind="other" if motion in SHARP else "")
-        for motion in motions
-    )
+    """Columns of a grid; those that saw sharp frames are set back."""
+    return tuple(Column((), m, kind="other" if m in SHARP else "") for m in motions)
 
 
 def grid_table(grid: Grid, name: str, title: str) -> Table:

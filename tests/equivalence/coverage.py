@@ -13,8 +13,8 @@ from deblur_avatar.config.kinds import KindOf
 from deblur_avatar.config.section import Params
 from tests.equivalence.cases import Job
 
-# Not a parameter of any stage: a run's observations are a folder of its command.
-PATHS = ("deblur_avatar.config.runs",)
+# Not parameters of any stage: a run's observations are a folder of its command.
+PATHS = ("deblur_avatar.config.runs", "deblur_avatar.config.proof")
 
 Kind = tuple[str, str]  # a key and what it may be
 

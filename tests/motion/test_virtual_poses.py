@@ -93,3 +93,22 @@ def test_without_a_step_every_exposure_has_all_poses(make_observations, sampled)
     frame = FrameMotion(seen.poses)
     frame.choose_samples(seen)
     assert frame.num_samples(9).tolist() == [1] * 9
+
+
+def test_sharp_frames_are_one_instant_of_the_trajectory_however_fast_it_is(
+    sampled, make_observations
+):
+    """What an oracle with the clip's trajectory sees: a shutter that does not open."""
+    seen = dataclasses.replace(make_observations(frames=9, degrees=40.0), exposure=0.0)
+    motion = sampled(seen, pixels_per_pose=0.05)
+    assert motion.num_samples(9).tolist() == [1] * 9
+    assert (
+        sampled(dataclasses.replace(seen, exposure=1 / 60), pixels_per_pose=0.05)
+        .num_samples(9)
+        .max()
+        > 1
+    )
+    instant = motion(4)
+    assert len(instant.quats) == 1
+    assert torch.equal(instant.quats[0], instant.centre_quats)
+    assert torch.equal(instant.transl[0], instant.centre_transl)

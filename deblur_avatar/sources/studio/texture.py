@@ -48,6 +48,7 @@ class LookParams(Params):
     """How another person's colours differ from the studio's: dyed, printed cloth, other skin."""
 
     dye: tuple[Channel, Channel, Channel]  # which of red, green, blue each channel of cloth shows
+    wider: Positive  # times: stripes and checks
     print_depth: Fraction  # share of the light that a mottled print takes from cloth
     print_m: Positive  # metres from one spot of it to the next
     tan: Fraction  # share of the light that skin takes
@@ -64,7 +65,8 @@ def paint(clothed: Clothed, look: LookParams | None = None) -> Float32[np.ndarra
         chosen = clothed.pieces == index
         flat = places[chosen].reshape(-1, 3)
         outward = np.repeat(facing[chosen], len(u), axis=0)
-        colours = _PAINTERS[piece](flat, outward, clothed.landmarks)
+        wider = 1.0 if look is None else look.wider
+        colours = _PAINTERS[piece](flat, outward, clothed.landmarks, wider)
         if look is not None:
             colours = _changed(colours, piece, flat, look)
         srgb[chosen] = colours.reshape(-1, len(u), 3)
@@ -83,7 +85,7 @@ def _changed(colours: Colours, piece: str, places: Places, look: LookParams) -> 
     return colours[:, list(look.dye)] * (1 - look.print_depth * spots)[:, None]
 
 
-def _skin(places: Places, outward: Places, marks: Landmarks) -> Colours:
+def _skin(places: Places, outward: Places, marks: Landmarks, wider: float) -> Colours:
     x, y, z = marks.in_head(places).T
     colours = _plain(SKIN, len(places)) * (1 + 0.02 * _mottle(places, 0.06))[:, None]
     face = (z > 0.1) & (y > -0.3)
@@ -105,10 +107,10 @@ def _skin(places: Places, outward: Places, marks: Landmarks) -> Colours:
     return colours
 
 
-def _shirt(places: Places, outward: Places, marks: Landmarks) -> Colours:
+def _shirt(places: Places, outward: Places, marks: Landmarks, wider: float) -> Colours:
     x, y, z = places.T
     around = 0.15 * np.arctan2(x, z - marks.of("spine2")[2])  # metres along the waist
-    colours = _stripes(around + 0.006, 0.04, WHITE, TEAL, 0.3)
+    colours = _stripes(around + 0.006, 0.04 * wider, WHITE, TEAL, 0.3)
     colours[outward[:, 1] > 0.8] = WHITE
     shoulder, elbow = marks.of("left_shoulder")[0], marks.of("left_elbow")[0]
     sleeve = np.abs(x) > shoulder + 0.03
@@ -128,26 +130,26 @@ def _shirt(places: Places, outward: Places, marks: Landmarks) -> Colours:
     return colours
 
 
-def _shorts(places: Places, outward: Places, marks: Landmarks) -> Colours:
+def _shorts(places: Places, outward: Places, marks: Landmarks, wider: float) -> Colours:
     x, y, z = places.T
     around = np.where(np.abs(outward[:, 0]) > 0.7, z, x)
     colours = _plain((0.13, 0.27, 0.20), len(places))
     for along in (around, y):
-        phase = (along / 0.052) % 1
+        phase = (along / (0.052 * wider)) % 1
         colours = _blend(colours, NAVY, 0.75 * (np.abs(phase - 0.5) < 0.2))
         colours = _blend(colours, YELLOW, 0.8 * (np.abs(phase - 0.06) < 0.045))
         colours = _blend(colours, RED, 0.7 * (np.abs(phase - 0.9) < 0.045))
     return colours
 
 
-def _socks(places: Places, outward: Places, marks: Landmarks) -> Colours:
+def _socks(places: Places, outward: Places, marks: Landmarks, wider: float) -> Colours:
     top = marks.of("left_ankle")[1] + 0.16 - places[:, 1]
     colours = _plain(WHITE, len(places))
     colours[(np.abs(top - 0.035) < 0.01) | (np.abs(top - 0.065) < 0.01)] = RED
     return colours
 
 
-def _shoes(places: Places, outward: Places, marks: Landmarks) -> Colours:
+def _shoes(places: Places, outward: Places, marks: Landmarks, wider: float) -> Colours:
     x, y, z = places.T
     ankle = marks.of("left_ankle")
     sole = places[:, 1].min() + 0.022
@@ -161,7 +163,7 @@ def _shoes(places: Places, outward: Places, marks: Landmarks) -> Colours:
     return colours
 
 
-def _hair(places: Places, outward: Places, marks: Landmarks) -> Colours:
+def _hair(places: Places, outward: Places, marks: Landmarks, wider: float) -> Colours:
     x, y, z = marks.in_head(places).T
     around = np.arctan2(x, z - 0.05)
     strands = np.sin(38 * around + 4 * np.sin(7 * y)) + 0.6 * np.sin(91 * around + 9 * y)

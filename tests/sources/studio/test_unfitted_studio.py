@@ -107,7 +107,7 @@ def test_swinging_cloth_is_the_same_in_frames_and_test_views(body: Body):
 
 
 def test_another_look_changes_colours_and_nothing_else(body: Body, plain):
-    look = LookParams(dye=(2, 0, 1), print_depth=0.4, print_m=0.05, tan=0.3)
+    look = LookParams(dye=(2, 0, 1), wider=2.0, print_depth=0.4, print_m=0.05, tan=0.3)
     _, reference = filmed(body, look=look)
     assert torch.equal(reference.mattes, plain[1].mattes)
     assert not torch.equal(reference.images, plain[1].images)

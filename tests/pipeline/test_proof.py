@@ -1,0 +1,105 @@
+import json
+
+import numpy as np
+import pytest
+
+from deblur_avatar.config.proof import MOTIONS, Cell, cells_of
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.picture_files import write_picture
+from deblur_avatar.pipeline.proof import report_proof
+from tests.evaluation.test_proof_grid import PSNR
+from tests.proof_results import small_plan, write_cell
+
+
+@pytest.fixture
+def metrics(tmp_path):
+    for cell in cells_of(small_plan()).values():
+        psnr = PSNR[cell.avatar, cell.motion] + cell.seed + 0.3 * (cell.schedule == "x2")
+        write_cell(tmp_path / "metrics", cell, psnr - 0.5 * (cell.scene == "leaping_17"))
+    return tmp_path / "metrics"
+
+
+@pytest.fixture
+def report(metrics, tmp_path):
+    return report_proof(small_plan(), metrics, tmp_path / "pictures")
+
+
+def test_the_summary_has_every_avatar_and_motion_of_every_scene(report):
+    scenes = report.summary["scenes"]
+    assert {name: scene["kind"] for name, scene in scenes.items()} == {
+        "studio": "tuning", "leaping": "report", "leaping_17": "report",
+    }  # fmt: skip
+    for scene in scenes.values():
+        assert scene["grid"].keys() == {"networks", "plain"}
+        assert all(tuple(row) == MOTIONS for row in scene["grid"].values())
+    assert scenes["leaping"]["grid"]["plain"]["mad"] is None
+    assert scenes["leaping"]["grid"]["networks"]["paper"]["recovery"]["psnr_seen"] == 0.25
+
+
+def test_a_grid_shows_recovery_below_each_avatar(report):
+    assert "| networks | 15.00 | \u2013 | **16.00** |" in report.tables
+    assert "| networks: recovery | 0.00 | \u2013 | 0.25 |" in report.tables
+    assert "| plain | 16.50 \u00b1 0.71 |" in report.tables
+
+
+def test_windows_stand_side_by_side(report):
+    section = report.tables.split("### leaping: windows")[1].split("###")[0]
+    assert "17 sub-frames" in section
+    assert "33 sub-frames" in section
+    assert "| plain, clip | 18.50 | 1.50 | 19.50 \u00b1 0.71 | 1.50 \u00b1 0.00 |" in section
+
+
+def test_the_distance_to_convergence_is_what_doubling_brings(report):
+    section = report.tables.split("### studio: PSNR seen by iterations")[1].split("###")[0]
+    assert "80 it." in section
+    # 19.00, 19.30: doubling brought 0.30, the second half of the longest 0.50.
+    assert "| plain, clip | 19.00 | 19.30 | 0.30 | 0.50 |" in section
+
+
+def test_a_tuning_scene_is_called_one(report):
+    assert "settings were chosen on it" in report.page
+    assert "made once, run once with frozen settings" in report.page
+
+
+def test_the_chart_has_a_curve_for_every_cell_of_a_scene_that_stands_alone(report):
+    rows = json.loads(report.charts["quality_over_time.json"])
+    curves = {(row["scene"], row["avatar"], row["motion"]) for row in rows}
+    assert len(curves) == 6 + 2
+    assert not [row for row in rows if row["scene"] == "leaping_17"]
+    assert report.charts["quality_over_time.svg"].startswith(b"<svg")
+    assert "<svg" in report.page
+
+
+def test_equal_results_give_equal_bytes(report, metrics, tmp_path):
+    again = report_proof(small_plan(), metrics, tmp_path / "pictures")
+    assert (again.page, again.tables, again.charts) == (report.page, report.tables, report.charts)
+
+
+def test_part_of_the_cells_make_a_report_too(tmp_path):
+    cell = Cell("leaping_17", "plain", "clip", "x1", 0)
+    write_cell(tmp_path, cell, 19.0, curve=False)
+    report = report_proof(small_plan(), tmp_path, tmp_path)
+    assert list(report.summary["scenes"]) == ["leaping_17"]
+    assert report.charts == {"quality_over_time.json": b"[]\n"}
+
+
+def test_without_any_cell_it_says_what_to_run(tmp_path):
+    with pytest.raises(ArtifactError, match="no results in .*; run `make proof`"):
+        report_proof(small_plan(), tmp_path, tmp_path)
+
+
+def test_strips_show_what_each_avatar_made_of_the_same_view(metrics, tmp_path):
+    view = {"camera": "test1", "frame": 3, "novel_pose": False, "render": "r.png",
+            "blurred": "b.png", "truth": "t.png"}  # fmt: skip
+    for avatar, motion in (("plain", "clip"), ("plain", "oracle"), ("networks", "paper")):
+        folder = tmp_path / "pictures/leaping/evaluate" / Cell("", avatar, motion, "x1", 0).name
+        picture = np.zeros((24, 24, 3), np.uint8)
+        picture[6:18, 8:16] = 200
+        for name in ("r", "b", "t"):
+            write_picture(folder / f"{name}.png", picture)
+        (folder / "views.json").write_text(json.dumps([view]))
+    report = report_proof(small_plan(), metrics, tmp_path / "pictures")
+    labels = [part.split("<")[0] for part in report.page.split("<span>")[1:]]
+    assert {"blurred input", "plain clip", "networks paper", "truth"} <= set(labels)
+    assert "plain oracle" not in labels
+    assert "camera test1, frame 3" in report.page

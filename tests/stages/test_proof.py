@@ -1,0 +1,27 @@
+import json
+
+from ruamel.yaml import YAML
+
+from deblur_avatar.config.proof import cells_of
+from tests.evaluation.test_proof_grid import PSNR
+from tests.proof_results import PLAN, small_plan, write_cell
+from tests.stages.running import run_script
+
+
+def test_it_writes_the_page_and_prints_the_grid_and_where_it_lies(tmp_path):
+    for cell in cells_of(small_plan(), ["grid"]).values():
+        write_cell(tmp_path / "metrics", cell, PSNR[cell.avatar, cell.motion])
+    with (tmp_path / "params.yaml").open("w") as file:
+        YAML().dump({"seed": 0, "proof": PLAN}, file)
+    done = run_script(
+        "proof", metrics=tmp_path / "metrics", pictures=tmp_path / "pictures",
+        out=tmp_path / "reports", params_file=tmp_path / "params.yaml",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "16.00 *" in done.stderr
+    assert f"The proof: {tmp_path}/reports/index.html" in done.stderr
+    summary = json.loads((tmp_path / "reports/summary.json").read_text())
+    paper = summary["scenes"]["leaping"]["grid"]["networks"]["paper"]
+    assert paper["recovery"]["psnr_seen"] == 0.25
+    assert paper["psnr_seen"] == {"mean": 16.0, "std": None}
+    assert "</html>" in (tmp_path / "reports/index.html").read_text()

@@ -1,0 +1,174 @@
+"""What counts as evidence (docs/evidence.md): report scenes take the settings of other scenes."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deblur_avatar.config.proof import ProofParams, cells_of, files_of, load_plan
+from deblur_avatar.config.reading import load_params, read_params
+from deblur_avatar.parameters import SceneParams
+from tests.structure.pipeline_files import ROOT, options_of, params_of, paths_in, read, stages
+from tests.structure.test_pipeline_definition import loaded_sections, main_of, script_of
+
+PROOF = ROOT / "experiments/proof"
+PLAN = load_plan(PROOF / "params.yaml")
+SCENE = stages(PROOF / "scene.dvc.yaml")
+REPORT = {name for name, scene in PLAN.scenes.items() if scene.kind == "report"}
+TUNING = {name for name, scene in PLAN.scenes.items() if scene.kind == "tuning"}
+# Where a report scene may be named: its own entry, and what says which cells are fitted.
+ALLOWED = re.compile(
+    r"scenes\.(?P<own>\w+)(\..*)?|proof\.scenes|proof\.windows(\..*)?|proof\.parts\.\w+\.scenes"
+)
+PARAMETERS = [
+    path
+    for folder in ("", "experiments", "stability", "avatars")
+    for path in sorted((ROOT / folder).rglob("params.yaml") if folder else [ROOT / "params.yaml"])
+]
+
+
+def named(content: Any, names: set[str], at: str = "") -> Iterator[str]:
+    """Places of a parameter file that name one of these, as a key or as a value."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            if str(key) in names:
+                yield at
+            yield from named(value, names, f"{at}.{key}".lstrip("."))
+    elif isinstance(content, list | tuple):
+        for value in content:
+            yield from named(value, names, at)
+    elif isinstance(content, str) and names & set(re.findall(r"\w+", content)):
+        yield at
+
+
+def wrong_places(content: Any, names: set[str]) -> list[str]:
+    """Those of `named` that are neither a scene's own entry nor the plan of cells."""
+    return [at for at in named(content, names) if at != "scenes" and not ALLOWED.fullmatch(at)]
+
+
+@pytest.mark.parametrize("path", PARAMETERS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_setting_names_a_report_scene(path: Path) -> None:
+    assert wrong_places(read(path), REPORT) == []
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"methods": {"lean": {"dancing": {}}}},
+        {"avatars": {"dancing": {}}},
+        {"schedules": {"x1": {"levels": [{"only": "dancing"}]}}},
+        {"methods": {"clip-dancing": {}, "lean": {"of": "clip-dancing"}}},
+        {"proof": {"avatars": {"plain": "dancing"}}},
+        {"on_request": ["dancing"]},
+    ],
+)
+def test_a_setting_that_names_one_is_found(content: Any) -> None:
+    assert "dancing" in REPORT
+    assert wrong_places(content, REPORT)
+
+
+def test_no_code_knows_a_report_scene() -> None:
+    for folder in ("deblur_avatar", "stages", "benchmarks"):
+        for path in (ROOT / folder).rglob("*.py"):
+            words = {
+                node.value
+                for node in ast.walk(ast.parse(path.read_text()))
+                if isinstance(node, ast.Constant) and isinstance(node.value, str)
+            }
+            assert not words & REPORT, path
+
+
+def test_the_proof_has_no_method_or_avatar_of_its_own() -> None:
+    own = read(PROOF / "params.yaml")
+    assert not own.keys() & {"methods", "avatars", "check", "bodies"}
+    assert own["shared"] == "../../params.yaml"
+
+
+def test_all_cells_of_a_column_have_the_same_settings_on_every_scene() -> None:
+    """A column is one method everywhere; what varies between cells is schedule and seed."""
+    for part in PLAN.parts.values():
+        assert len(part.schedules) == 1 or not REPORT & set(part.scenes), "one length for reports"
+    lengths = {cell.schedule for cell in cells_of(PLAN).values() if cell.scene in REPORT}
+    assert len(lengths) == 1
+
+
+def test_report_scenes_are_no_tuning_scenes() -> None:
+    root = read(ROOT / "params.yaml")["scenes"]
+    assert root.keys() >= TUNING
+    assert not REPORT & root.keys()
+    motions = {root[name]["clip"]["motion"] for name in TUNING}
+    for name in REPORT:
+        clip = load_params(PROOF / "params.yaml", f"scenes.{name}", SceneParams).clip
+        assert clip.source == "unfitted_studio"
+        assert clip.motion not in motions
+
+
+@pytest.mark.parametrize("name", sorted(REPORT))
+def test_the_truth_of_a_report_scene_is_not_the_fitter_s(name: str) -> None:
+    scene = load_params(PROOF / "params.yaml", f"scenes.{name}", SceneParams)
+    clip = scene.clip
+    assert (clip.noise_degrees, clip.noise_mm, clip.betas_error) == (1.5, 5.0, 0.5)
+    assert min(clip.unfitted_body.model_dump().values()) > 0
+    assert min(clip.noise.shot, clip.noise.read) > 0
+    assert (scene.blur.frames, scene.blur.averaging_space) == ("true", "linear")
+    assert scene.blur.window == clip.window
+
+
+def test_scenes_of_several_windows_differ_in_them_alone() -> None:
+    scenes = read_params(PROOF / "params.yaml")["scenes"]
+    for base, group in PLAN.windows.items():
+        for window, name in group.items():
+            other = {part: dict(scenes[name][part]) for part in ("clip", "blur", "preprocess")}
+            assert other["clip"]["window"] == other["blur"]["window"] == window
+            for part in ("clip", "blur"):
+                other[part]["window"] = scenes[base][part]["window"]
+            assert other == {part: scenes[base][part] for part in other}
+
+
+def test_pipelines_and_cells_are_those_of_the_plan() -> None:
+    for path, content in files_of(PROOF).items():
+        assert path.read_bytes() == content, f"{path.relative_to(ROOT)}: run `make code`"
+
+
+def test_nothing_is_left_of_what_the_plan_no_longer_asks_for() -> None:
+    wanted = {path for path in files_of(PROOF) if path.name != "dvc.lock"}
+    there = {*PROOF.glob("*/dvc.yaml"), *PROOF.glob("*/cells.yaml"), *PROOF.glob("fits/*")}
+    assert there == wanted
+
+
+@pytest.mark.parametrize("name", SCENE)
+def test_a_stage_of_a_scene_declares_exactly_the_parameters_it_loads(name: str) -> None:
+    said = params_of(SCENE[name])
+    declared = {key for file, keys in said.items() if file != "code.json" for key in keys}
+    own = read(PROOF / "params.yaml")["schedule"]
+    declared = {key.replace(f"schedules.{own}.", "schedules.${schedule}.") for key in declared}
+    declared = {key.replace("${item.schedule}", "${schedule}") for key in declared}
+    assert declared == set(loaded_sections(SCENE[name]))
+
+
+@pytest.mark.parametrize("name", SCENE)
+def test_a_command_of_a_scene_gives_exactly_the_arguments_its_script_takes(name: str) -> None:
+    taken = {argument.arg for argument in main_of(script_of(SCENE[name])).args.args}
+    assert set(options_of(SCENE[name])) == taken
+
+
+def test_only_scores_of_a_scene_depend_on_the_reference() -> None:
+    readers = {n for n, s in SCENE.items() if any("reference" in d for d in paths_in(s, "deps"))}
+    named_in = {n for n, s in SCENE.items() if "reference" in str(s["cmd"])}
+    assert readers == named_in == {"evaluate", "learning_curve"}
+
+
+def test_what_is_known_of_a_cell_is_what_its_column_says() -> None:
+    """Sharp frames and exact poses go to bounds alone."""
+    seen = {name: column.observations for name, column in PLAN.columns.items()}
+    assert {name for name, kind in seen.items() if kind == "sharp"} == {"oracle", "oracle_clip"}
+    assert {name for name, kind in seen.items() if kind == "exact"} == {"ceiling"}
+
+
+def test_every_cell_of_the_plan_has_a_measured_cost() -> None:
+    assert isinstance(PLAN, ProofParams)
+    for cell in cells_of(PLAN).values():
+        assert PLAN.costs.fits[cell.avatar][cell.motion] > 0
