@@ -129,7 +129,8 @@ def scenery(
     """Keep the background where it is known, so that no matte decides whose light a pixel is.
 
     Away from the person nothing but the background is left: not her shadow, not a passer-by.
-    Inside of her, where the plate is not known, a frame stays as it was filmed.
+    Where the plate is not known, a frame stays as it was filmed inside of her, and is black beside
+    her.
 
     Args:
         frames: of one camera.
@@ -137,7 +138,7 @@ def scenery(
         pictures: plates, one for all frames or one each; black where not known.
         known: where.
     """
-    near = near_person(mattes > 0)
+    near = near_person(mattes > 0) & (known | (mattes > 0))
     shown = torch.where(near[..., None], frames, pictures)
     return Scenery(shown, comparable_pixels(mattes, known.expand_as(near)))
 
