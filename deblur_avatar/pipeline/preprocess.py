@@ -30,10 +30,7 @@ from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.person_crops import person_crops
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
-from deblur_avatar.config.section import (
-    NonNegative,
-    Params,
-)
+from deblur_avatar.config.section import NonNegative, Params
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import Background, BackgroundKind, background_of
@@ -45,11 +42,7 @@ from deblur_avatar.imaging.matting import (
     scenery,
     trim_mattes,
 )
-from deblur_avatar.imaging.resampling import (
-    Crop,
-    crop_and_scale,
-    undistort,
-)
+from deblur_avatar.imaging.resampling import Crop, crop_and_scale, undistort
 
 
 class PreprocessParams(Params):
@@ -164,15 +157,7 @@ def _pictures(
     cut: Callable[[Tensor], Tensor],
     averaging_space: str,
 ) -> _Pictures:
-    """The person in front of what is known to be behind her, or on black.
-
-    Args:
-        frames: as the camera took them.
-        mattes: of the person.
-        background: of this camera.
-        cut: crops pictures to the person's path and scales them.
-        averaging_space: the space in which light adds up.
-    """
+    """The person in front of what is known to be behind her, or on black; `cut` crops, scales."""
     small = cut(mattes)
     if background.kind == "none":
         return _Pictures(cut(frames), small, None, None)

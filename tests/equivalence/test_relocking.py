@@ -12,6 +12,12 @@ from tests.structure.small_repository import begin, called, commit, ran
 
 ROOT = Path(__file__).parents[2]
 CODE = "deblur_avatar/pipeline/code.py"
+# And what it imports.
+OF_CODE = [
+    CODE,
+    "deblur_avatar/errors.py",
+    *(f"deblur_avatar/config/{name}.py" for name in ("__init__", "proof", "reading", "section")),
+]
 PIPELINE = """\
 stages:
   code:
@@ -79,7 +85,7 @@ def would_run(folder):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     root = tmp_path_factory.mktemp("made")
-    begin(root, FILES | {CODE: (ROOT / CODE).read_text()})
+    begin(root, FILES | {name: (ROOT / name).read_text() for name in OF_CODE})
     called(root, "dvc", "repro")
     commit(root)
     return root

@@ -38,7 +38,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.storage import Artifact
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.bodies.smpl import read_smpl
-from deblur_avatar.cli import video as own_video
+from deblur_avatar.cli import avatar_params, homes
 from deblur_avatar.config.reading import read_yaml
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.evaluation.costs import (
@@ -123,7 +123,7 @@ def _write_avatar(folder: Path) -> None:
     }
     own |= {"bodies": {}}
     (folder / "params.yaml").write_text(json.dumps(shared))
-    place = folder / own_video.AVATARS / "me" / "params.yaml"
+    place = folder / homes.AVATARS / "me" / "params.yaml"
     place.parent.mkdir(parents=True)
     place.write_text(json.dumps({"shared": "../../params.yaml"} | own))
 
@@ -134,9 +134,9 @@ class _Read(Exception):
 
 def _avatar(folder: Path) -> None:
     nothing = mock.patch.object(Path, "mkdir")
-    written = mock.patch.object(own_video, "_write", side_effect=_Read)
+    written = mock.patch.object(avatar_params, "_write", side_effect=_Read)
     with nothing, written, contextlib.suppress(_Read):
-        own_video.prepare(folder / "film.mp4", "me", "lean", "medium", folder)
+        avatar_params.prepare(folder / "film.mp4", "me", "lean", "medium", folder)
 
 
 def _write_numbers(folder: Path) -> None:
@@ -256,7 +256,8 @@ def example(kind: type[Artifact]) -> Artifact:
         },
         "Observations": {
             "frames": _images(3, 6, 8, 3), "mattes": _images(3, 6, 8),
-            "comparable": _images(3, 6, 8), "cameras": _cameras(),
+            "comparable": _images(3, 6, 8), "backgrounds": _images(1, 6, 8, 3),
+            "cameras": _cameras(),
             "crops": torch.ones(1, 4), "train_camera": 0, "body": _body(), "poses": _poses(),
             "weights": torch.ones(3), "frame_indices": frames, "timestamps": _times(),
             "exposure": 0.01, "averaging_space": "srgb", "train": (0, 1), "validation": (2,),

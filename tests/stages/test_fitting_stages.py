@@ -155,7 +155,7 @@ def test_a_stage_before_its_predecessor_says_what_to_do(
 ):
     folder, _ = chain
     write_params(tmp_path, tiny)
-    missing, schema = tmp_path / "observations", "observations/2"
+    missing, schema = tmp_path / "observations", "observations/3"
     if stage in BEFORE:
         missing.symlink_to(folder / "observations")
         missing, schema = tmp_path / BEFORE[stage] / "avatar", "avatar/1"
