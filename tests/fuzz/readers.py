@@ -123,6 +123,8 @@ def _write_avatar(folder: Path) -> None:
     }
     own |= {"bodies": {}}
     (folder / "params.yaml").write_text(json.dumps(shared))
+    (folder / "dvc.yaml").write_text("stages: {}\n")  # so that it is a checkout
+    (folder / "stages").mkdir()
     place = folder / homes.AVATARS / "me" / "params.yaml"
     place.parent.mkdir(parents=True)
     place.write_text(json.dumps({"shared": "../../params.yaml"} | own))
@@ -133,9 +135,8 @@ class _Read(Exception):
 
 
 def _avatar(folder: Path) -> None:
-    nothing = mock.patch.object(Path, "mkdir")
-    written = mock.patch.object(avatar_params, "_write", side_effect=_Read)
-    with nothing, written, contextlib.suppress(_Read):
+    installed = mock.patch.object(homes.Home, "install", side_effect=_Read)
+    with installed, contextlib.suppress(_Read):
         avatar_params.prepare(folder / "film.mp4", "me", "lean", "medium", folder)
 
 
