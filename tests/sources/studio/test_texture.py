@@ -58,7 +58,7 @@ def test_the_back_bears_a_name_that_the_front_does_not(clothed: Clothed):
     front, back = np.tile([0.0, 0.0, 1.0], (x.size, 1)), np.tile([0.0, 0.0, -1.0], (x.size, 1))
     shirt = _PAINTERS["shirt"]
     red = [
-        (shirt(places * (1, 1, side[0, 2]), side, clothed.landmarks) == RED).all(1).mean()
+        (shirt(places * (1, 1, side[0, 2]), side, clothed.landmarks, 1.0) == RED).all(1).mean()
         for side in (front, back)
     ]
     assert red[0] == 0
