@@ -106,11 +106,19 @@ def test_swinging_cloth_is_the_same_in_frames_and_test_views(body: Body):
     assert not torch.equal(still.frames[0][frame], clip.frames[0][frame])
 
 
-def test_another_look_changes_colours_and_nothing_else(body: Body, plain):
-    look = LookParams(dye=(2, 0, 1), wider=2.0, print_depth=0.4, print_m=0.05, tan=0.3)
-    _, reference = filmed(body, look=look)
+@pytest.mark.parametrize(
+    "change", [{"dye": (2, 0, 1)}, {"wider": 2.0}, {"print_depth": 0.4}, {"tan": 0.3}], ids=str
+)
+def test_another_look_changes_colours_and_nothing_else(body: Body, plain, change):
+    own = {"dye": (0, 1, 2), "wider": 1.0, "print_depth": 0.0, "print_m": 0.05, "tan": 0.0}
+    _, reference = filmed(body, look=LookParams(**own | change))
     assert torch.equal(reference.mattes, plain[1].mattes)
     assert not torch.equal(reference.images, plain[1].images)
+
+
+def test_a_look_that_changes_nothing_is_the_studio_s(body: Body, plain):
+    same_look = LookParams(dye=(0, 1, 2), wider=1.0, print_depth=0.0, print_m=0.05, tan=0.0)
+    assert torch.equal(filmed(body, look=same_look)[1].images, plain[1].images)
 
 
 def test_a_wider_field_makes_the_person_smaller(body: Body, plain):
