@@ -11,6 +11,7 @@ import math
 import os
 import random
 import resource
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -40,6 +41,8 @@ THREADS_THAT_PAY = 4  # what is left to torch's one thread is a third of a step 
 # Names that seeds are derived from, by today's words: what was renamed draws what it drew before.
 SEED_NAMES = {"agnostic": "blind", "learning_curve": "timeline"}
 
+STOPPED = 128 + signal.SIGINT  # the exit code of a command that a shell's user has stopped
+
 logger = logging.getLogger(__name__)
 
 
@@ -55,7 +58,8 @@ class Context:
 def command(main: Callable[..., None]) -> None:
     """Run a stage's `main` with its parameters as command-line options, all required.
 
-    What a caller can mend (deblur_avatar/errors.py) becomes one line and exit code 1.
+    What a caller can mend (deblur_avatar/errors.py) becomes one line and exit code 1, and what a
+    caller stops (Ctrl-C) one line and exit code 130.
     """
     parser = argparse.ArgumentParser(description=inspect.getdoc(main))
     for name, parameter in inspect.signature(main).parameters.items():
@@ -67,6 +71,9 @@ def command(main: Callable[..., None]) -> None:
     except (ConfigError, ArtifactError, FittingError) as error:
         sys.stderr.write(f"{type(error).__name__}: {error}\n")
         raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; the same command goes on from here\n")
+        raise SystemExit(STOPPED) from None
 
 
 @contextmanager

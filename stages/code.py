@@ -7,8 +7,10 @@ from deblur_avatar.pipeline.code import fingerprints
 
 
 def main(root: Path, out: Path) -> None:
-    """Write `out`: for each script of `<root>/stages` a hash over the code that it runs."""
-    run.write_json(out, fingerprints(root))
+    """Write `out`: for each script of `<root>/stages`, and each kind that the parameters beside
+    `out` ask for, a hash over the code that it runs.
+    """
+    run.write_json(out, fingerprints(root, out.parent))
 
 
 if __name__ == "__main__":

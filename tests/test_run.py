@@ -162,6 +162,17 @@ def test_a_callers_mistake_is_one_line_and_exit_code_1(monkeypatch, capsys, kind
     assert capsys.readouterr().err == f"{kind.__name__}: params.yaml: warmup: unknown key 'x'\n"
 
 
+def test_what_a_caller_stops_is_one_line_and_exit_code_130(monkeypatch, capsys):
+    def main() -> None:
+        raise KeyboardInterrupt
+
+    given(monkeypatch)
+    with pytest.raises(SystemExit) as stop:
+        run.command(main)
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == "stopped; the same command goes on from here\n"
+
+
 def test_a_mistake_of_ours_keeps_its_traceback(monkeypatch):
     def main() -> None:
         raise KeyError("ours")

@@ -7,15 +7,16 @@ import torch
 from deblur_avatar.artifacts.avatar import Avatar, composition_in_code
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.avatar import AvatarModel
-from deblur_avatar.avatars.networks_avatar import NetworksAvatar
 from deblur_avatar.avatars.params import AvatarParams
-from deblur_avatar.avatars.plain_avatar import PlainAvatar
-from deblur_avatar.config.kinds import KindOf
+from deblur_avatar.config.kinds import KindOf, Registry
 from deblur_avatar.config.reading import parse
 
-AVATARS: dict[str, type[AvatarModel]] = {
-    avatar.kind: avatar for avatar in (NetworksAvatar, PlainAvatar)
-}
+AVATARS: Registry[AvatarModel] = Registry(
+    {
+        "networks": "deblur_avatar.avatars.networks_avatar:NetworksAvatar",
+        "plain": "deblur_avatar.avatars.plain_avatar:PlainAvatar",
+    }
+)
 
 # The section of any kind.
 AnyAvatarParams = Annotated[AvatarParams, KindOf("kind", AVATARS)]

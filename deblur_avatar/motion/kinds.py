@@ -3,28 +3,21 @@
 from typing import Annotated
 
 from deblur_avatar.artifacts.motion import Motion
-from deblur_avatar.config.kinds import KindOf
+from deblur_avatar.config.kinds import KindOf, Registry
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.motion.clip import ClipMotion
-from deblur_avatar.motion.cubic import CubicMotion
-from deblur_avatar.motion.frame import FixedMotion, FrameMotion
-from deblur_avatar.motion.learned import LearnedMotion
-from deblur_avatar.motion.pair import PairMotion
-from deblur_avatar.motion.released import ReleasedMotion
 from deblur_avatar.motion.trajectory import MotionParams, Trajectory
 
-KINDS: dict[str, type[Trajectory]] = {
-    trajectory.kind: trajectory
-    for trajectory in (
-        FixedMotion,
-        FrameMotion,
-        PairMotion,
-        CubicMotion,
-        LearnedMotion,
-        ReleasedMotion,
-        ClipMotion,
-    )
-}
+KINDS: Registry[Trajectory] = Registry(
+    {
+        "fixed": "deblur_avatar.motion.frame:FixedMotion",
+        "frame": "deblur_avatar.motion.frame:FrameMotion",
+        "pair": "deblur_avatar.motion.pair:PairMotion",
+        "cubic": "deblur_avatar.motion.cubic:CubicMotion",
+        "learned": "deblur_avatar.motion.learned:LearnedMotion",
+        "released": "deblur_avatar.motion.released:ReleasedMotion",
+        "clip": "deblur_avatar.motion.clip:ClipMotion",
+    }
+)
 
 
 # The section of any kind.

@@ -1,4 +1,4 @@
-"""Code fingerprints: one hash a stage over the syntax of all that its script imports.
+"""Code fingerprints: hashes over the syntax of all that a stage's script, or a kind, imports.
 
 DVC compares files byte by byte, so that a pipeline whose stages depend on their source files
 reruns for a comment. Here a stage depends on one number instead, that only code can move:
@@ -10,7 +10,9 @@ reruns for a comment. Here a stage depends on one number instead, that only code
 The walk over imports is static: every `import` counts, those inside functions too, and so does
 every package's `__init__.py` on the way, and a module whose full name stands in a string. A file
 that is no Python module belongs to the module above it that names it in a string, or to the C++
-file that includes it.
+file that includes it. The walk ends at a registry of kinds (`Registry` of config/kinds.py), whose
+kinds have hashes of their own: `code.json` has them by the recipes and methods of the parameter
+files that run them, so that an avatar or a trajectory that nobody asks for moves nothing.
 
 Where the root has scripts and no package, as the folder of an avatar made by an installed package,
 modules are looked for where the package is installed. Names, and so fingerprints, are the same.
@@ -22,17 +24,38 @@ import json
 import re
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from deblur_avatar.config.proof import files_of
+from deblur_avatar.config.reading import read_yaml
 
 PACKAGES = ("deblur_avatar", "benchmarks")
 SCRIPTS = ("stages", "benchmarks/stress/stages")
 AREAS = ("experiments", "avatars")
 PROOF = "experiments/proof"
 PIPELINE, FINGERPRINTS = "dvc.yaml", "code.json"
+PARAMS = "params.yaml"
+
+
+@dataclass(frozen=True)
+class Registered:
+    """Kinds that a section of parameters chooses from, an entry each."""
+
+    registry: str  # the module's path
+    kind: tuple[str, ...]  # keys of an entry that lead to the kind's name
+
+
+# By the section, which `from` in a folder's parameters may place in another folder's.
+REGISTERED = {
+    "avatars": Registered("deblur_avatar/avatars/kinds.py", ("model", "kind")),
+    "methods": Registered("deblur_avatar/motion/kinds.py", ("trajectory", "motion", "kind")),
+}
+NO_SUCH_KIND = "no such kind"  # the stage that reads the entry says what there is
+PLACE = re.compile(rf"(?P<module>({'|'.join(PACKAGES)})(\.\w+)+):\w+")
 FILE_NAME = re.compile(r"\w[\w-]*(\.\w+)+")
 BLOCKS = ("body", "orelse", "finalbody")  # statements of a node
 CPP = (".cpp", ".cc", ".cu", ".cuh", ".h", ".hpp")
@@ -50,17 +73,74 @@ CPP_TOKENS = re.compile(
 )
 
 
-def fingerprints(root: Path) -> dict[str, str]:
-    """The fingerprint of every stage's script, by its name.
+def fingerprints(root: Path, folder: Path) -> dict[str, Any]:
+    """What `code.json` of a folder says: the fingerprint of every stage's script by its name, and
+    of every recipe's avatar and every method's trajectory.
+
+    Args:
+        root: of the repository, or where the scripts lie of a folder made by an installed package.
+        folder: whose parameters name recipes and methods; of one without, there are none.
 
     Raises:
         SyntaxError: if a module is not Python.
+        ConfigError: if a parameter file that is there cannot be read.
     """
     known: dict[Path, list[Path]] = {}
-    return {
+    of_scripts = {
         script.stem: fingerprint(import_closure(script, root, known), root)
         for script in scripts(root)
     }
+    of_entries = {}
+    for section, chosen in REGISTERED.items():
+        of_kinds = {
+            name: _joint(place, fingerprint(import_closure(module, root, known), root))
+            for name, (place, module) in registered(root, chosen.registry).items()
+        }
+        of_entries[section] = {
+            name: of_kinds.get(kind, NO_SUCH_KIND)
+            for name, kind in kinds_asked_for(folder, section).items()
+        }
+    return {**of_scripts, **of_entries}
+
+
+def registered(root: Path, registry: str) -> dict[str, tuple[str, Path]]:
+    """Where a registry says that each kind is, and the module's file; read, not imported."""
+    paths = [start / registry for start in _starts(root) if (start / registry).is_file()]
+    found = {}
+    for node in ast.walk(ast.parse(paths[0].read_bytes())) if paths else ():
+        for name, place in _places(node):
+            *_, module = _module_files(place.partition(":")[0], root)
+            found[name] = (place, module)
+    return found
+
+
+def _places(node: ast.AST) -> list[tuple[str, str]]:
+    """The names and places of a dictionary of kinds."""
+    if not isinstance(node, ast.Dict):
+        return []
+    return [
+        (str(name.value), str(place.value))
+        for name, place in zip(node.keys, node.values, strict=True)
+        if isinstance(name, ast.Constant)
+        and isinstance(place, ast.Constant)
+        and PLACE.fullmatch(str(place.value))
+    ]
+
+
+def kinds_asked_for(folder: Path, section: str) -> dict[str, str]:
+    """The kind that each entry of a section names, of the file where `from` places the section."""
+    path = folder / PARAMS
+    places = read_yaml(path).get("from") if path.is_file() else None
+    if not isinstance(places, dict) or section not in places:
+        return {}
+    entries = read_yaml(folder / places[section]).get(section) or {}
+    return {name: _at(entry, REGISTERED[section].kind) for name, entry in entries.items()}
+
+
+def _at(entry: Any, keys: tuple[str, ...]) -> str:
+    for key in keys:
+        entry = entry.get(key) if isinstance(entry, dict) else None
+    return str(entry)
 
 
 def refresh(root: Path) -> list[Path]:
@@ -71,9 +151,9 @@ def refresh(root: Path) -> list[Path]:
         Files whose content has changed.
     """
     pipeline = (root / PIPELINE).read_bytes()
-    hashes = f"{json.dumps(fingerprints(root), indent=1)}\n".encode()
     wanted: dict[Path, bytes] = {}
     for folder in pipelines(root):
+        hashes = f"{json.dumps(fingerprints(root, folder), indent=1)}\n".encode()
         wanted |= {folder / PIPELINE: pipeline, folder / FINGERPRINTS: hashes}
     if (root / PROOF).is_dir():
         wanted |= files_of(root / PROOF)
@@ -106,6 +186,10 @@ def fingerprint(files: set[Path], root: Path) -> str:
     for name, path in sorted(named.items()):
         digest.update(f"{name.as_posix()}\0{_of_text(path.suffix, path.read_bytes())}\n".encode())
     return digest.hexdigest()[:32]
+
+
+def _joint(*said: str) -> str:
+    return hashlib.sha256("\0".join(said).encode()).hexdigest()[:32]
 
 
 def import_closure(
@@ -179,7 +263,8 @@ def _references(source: bytes, package: tuple[str, ...]) -> tuple[frozenset[str]
 
 def _stripped(tree: ast.AST) -> ast.AST:
     """The tree without what does nothing: docstrings, other strings that stand by themselves, and
-    what is under `if TYPE_CHECKING:`; and with pieces of an f-string that follow each other as one.
+    what is under `if TYPE_CHECKING:`; without the kinds of a registry, whose hashes are their own;
+    and with pieces of an f-string that follow each other as one.
     """
     for node in ast.walk(tree):
         for name in BLOCKS:
@@ -188,6 +273,8 @@ def _stripped(tree: ast.AST) -> ast.AST:
                 setattr(node, name, [line for line in block if not _is_prose(line)])
         if isinstance(node, ast.If) and _last_name(node.test) == "TYPE_CHECKING":
             node.body = []
+        if isinstance(node, ast.Dict) and _places(node):
+            node.keys, node.values = [], []
         if isinstance(node, ast.JoinedStr):
             node.values = _joined(node.values)
     return tree

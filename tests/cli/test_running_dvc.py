@@ -23,7 +23,10 @@ def test_a_command_s_exit_code_is_told(tmp_path):
 def test_an_interrupted_command_is_waited_for(tmp_path):
     """As a terminal does it: the signal reaches the whole group of processes."""
     program = (
-        "import sys; from pathlib import Path; from deblur_avatar.cli.running_dvc import finish\n"
+        "import signal, sys; from pathlib import Path\n"
+        "from deblur_avatar.cli.running_dvc import finish\n"
+        # What a shell starts in the background ignores the signal, and so would all that it starts.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         f"try: finish([sys.executable, '-c', {SLOW_TO_END!r}], {{}}, Path())\n"
         "except KeyboardInterrupt: sys.exit(130 if Path('ended').exists() else 1)\n"
     )

@@ -9,8 +9,10 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
 import deblur_avatar.parameters  # noqa: F401, which knows the classes of all sections
+from deblur_avatar.avatars.kinds import AVATARS
 from deblur_avatar.config.kinds import KindOf
 from deblur_avatar.config.section import Params
+from deblur_avatar.motion.kinds import KINDS
 from tests.equivalence.cases import Job
 
 # Not parameters of any stage: a run's observations are a folder of its command.
@@ -26,6 +28,8 @@ NOT_IN_SMALL: frozenset[Kind] = frozenset({("poses", "none"), ("on_failure", "st
 def kinds() -> set[Kind]:
     """All that a section of `params.yaml` may be, by key."""
     found: set[Kind] = set()
+    for registry in (AVATARS, KINDS):
+        list(registry.values())  # imports all, so that their sections are known
     for section in _sections(Params):
         for name, kind in typing.get_type_hints(section, include_extras=True).items():
             found |= set(_kinds_in(kind, name))

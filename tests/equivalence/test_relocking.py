@@ -57,7 +57,7 @@ FILES = {
     "stages/code.py": (
         "import json, sys\nfrom pathlib import Path\n"
         "from deblur_avatar.pipeline.code import fingerprints\n"
-        "hashes = json.dumps(fingerprints(Path(sys.argv[1])), indent=1)\n"
+        "hashes = json.dumps(fingerprints(Path(sys.argv[1]), Path()), indent=1)\n"
         "Path('code.json').write_text(f'{hashes}\\n')\n"
     ),
     "stages/cut.py": (

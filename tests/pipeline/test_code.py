@@ -8,7 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from deblur_avatar.pipeline.code import cpp_tokens, fingerprints, import_closure, refresh, scripts
+from deblur_avatar.pipeline.code import (
+    NO_SUCH_KIND,
+    cpp_tokens,
+    fingerprints,
+    import_closure,
+    refresh,
+    scripts,
+)
+from tests.structure.pipeline_files import gathering, params_of, stages
 
 ROOT = Path(__file__).parents[2]
 SUITE = {"stability", "stability_scene", "stability_report", "self_check_cases"}
@@ -49,11 +57,11 @@ def project(tmp_path):
 
 def moved(project, file, old, new):
     """Stages whose fingerprint moves when a text is replaced; it must be there once or more."""
-    before, path = fingerprints(project), project / file
+    before, path = fingerprints(project, project), project / file
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    after = fingerprints(project)
+    after = fingerprints(project, project)
     path.write_text(text)
     return {name for name in before if before[name] != after[name]}
 
@@ -126,27 +134,41 @@ def test_the_same_code_has_the_same_fingerprint_whatever_python_reads_it(project
     module = ROOT / "deblur_avatar/pipeline/code.py"
     show = (
         f"import runpy, json, pathlib; code = runpy.run_path({str(module)!r}); "
-        f"print(json.dumps(code['fingerprints'](pathlib.Path({str(project)!r}))))"
+        f"here = pathlib.Path({str(project)!r}); "
+        "print(json.dumps(code['fingerprints'](here, here)))"
     )
     found = set()
     for name in (sys.executable, "python3.11", "python3.12", "python3.13"):
         if shutil.which(name):
             done = subprocess.run([name, "-c", show], capture_output=True, text=True, check=False)
             found |= {done.stdout} if done.returncode == 0 else set()  # a shim of what is not there
-    assert found == {json.dumps(fingerprints(project)) + "\n"}
+    assert found == {json.dumps(fingerprints(project, project)) + "\n"}
+
+
+def stages_moved(project, file, old, new):
+    """Stages that a replaced text makes run again: those that depend on what moves."""
+    keys = moved(project, file, old, new)
+    pipelines = [ROOT / "dvc.yaml", *gathering()]
+    return {
+        name
+        for path in pipelines
+        for name, stage in stages(path).items()
+        if {key.partition(".")[0] for key in params_of(stage).get("code.json", ())} & keys
+    }
 
 
 def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
     for folder in ("deblur_avatar", "benchmarks", "stages"):
         shutil.copytree(ROOT / folder, tmp_path / folder)
+    shutil.copy(ROOT / "params.yaml", tmp_path)
     losses = "deblur_avatar/training/losses.py"
     text = (tmp_path / losses).read_text()
-    assert moved(tmp_path, losses, text, f"{text}\n# a comment\n") == set()
-    assert moved(tmp_path, losses, text, f"{text}\nWEIGHT = 0.5\n") == FITTING
+    assert stages_moved(tmp_path, losses, text, f"{text}\n# a comment\n") == set()
+    assert stages_moved(tmp_path, losses, text, f"{text}\nWEIGHT = 0.5\n") == FITTING
     kernel = "deblur_avatar/rendering/kernel.cpp"
     text = (tmp_path / kernel).read_text()
-    assert moved(tmp_path, kernel, text, f"// a comment\n{text}") == set()
-    renders = moved(tmp_path, kernel, text, f"{text}\nint more;\n")
+    assert stages_moved(tmp_path, kernel, text, f"// a comment\n{text}") == set()
+    renders = stages_moved(tmp_path, kernel, text, f"{text}\nint more;\n")
     assert renders == FITTING | {
         "evaluate",
         "learning_curve",
@@ -156,7 +178,7 @@ def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
     }
     metrics = "deblur_avatar/imaging/metrics.py"
     text = (tmp_path / metrics).read_text()
-    scores = moved(tmp_path, metrics, text, f"{text}\nMORE = 0.5\n")
+    scores = stages_moved(tmp_path, metrics, text, f"{text}\nMORE = 0.5\n")
     assert not scores & {
         "clip",
         "blur",
@@ -169,6 +191,64 @@ def test_a_weight_in_losses_moves_the_stages_that_fit(tmp_path):
     assert scores >= {"score_blur", "score_predeblur", "evaluate", "learning_curve"}
 
 
+REGISTRY = (
+    'AVATARS = Registry({{"ball": "deblur_avatar.avatars.ball:Ball"{more}}})\n'
+    'OTHER = {{"ball": "no place"}}\n'
+)
+
+
+@pytest.fixture
+def with_kinds(project):
+    """A stage that runs any kind of avatar, of which there is one; parameters ask for it."""
+    files = {
+        "stages/cut.py": "from deblur_avatar.avatars.kinds import AVATARS\n",
+        "deblur_avatar/avatars/__init__.py": "",
+        "deblur_avatar/avatars/kinds.py": REGISTRY.format(more=""),
+        "deblur_avatar/avatars/ball.py": "from deblur_avatar.geometry import planes\n",
+        "deblur_avatar/avatars/cube.py": "SIDE = 1\n",
+        "params.yaml": (
+            "from: {avatars: shared/params.yaml, methods: params.yaml}\n"
+            "methods: {far: {trajectory: {motion: {kind: none}}}, none: 3}\n"
+        ),
+        "shared/params.yaml": "avatars: {a: {model: {kind: ball}}, b: {model: {kind: ball}}}\n",
+    }
+    for name, text in files.items():
+        (project / name).parent.mkdir(exist_ok=True)
+        (project / name).write_text(text)
+    return project
+
+
+def test_a_kind_has_a_fingerprint_of_its_own_by_the_entries_that_ask_for_it(with_kinds):
+    said = fingerprints(with_kinds, with_kinds)
+    assert said["avatars"]["a"] == said["avatars"]["b"] != NO_SUCH_KIND
+    assert said["methods"] == {"far": NO_SUCH_KIND, "none": NO_SUCH_KIND}
+    assert moved(with_kinds, "deblur_avatar/avatars/ball.py", "planes", "curves") == {"avatars"}
+    assert moved(with_kinds, "deblur_avatar/geometry/planes.py", "math", "cmath") == {
+        "avatars",
+        "sew",
+    }
+
+
+def test_a_new_kind_moves_nothing_and_another_place_of_one_moves_its_entries(with_kinds):
+    registry = "deblur_avatar/avatars/kinds.py"
+    old, cube = REGISTRY.format(more=""), ', "cube": "deblur_avatar.avatars.cube:Cube"'
+    assert moved(with_kinds, registry, old, REGISTRY.format(more=cube)) == set()
+    assert moved(with_kinds, registry, "ball:Ball", "ball:Bowl") == {"avatars"}
+    assert moved(with_kinds, registry, "no place", "nowhere") == {"cut"}
+    assert moved(with_kinds, "deblur_avatar/avatars/cube.py", "1", "2") == set()
+    assert moved(with_kinds, "shared/params.yaml", "b: {model: {kind: ball}}", "") == {"avatars"}
+
+
+def test_a_kind_of_the_package_moves_only_what_asks_for_it():
+    """An edit of `lean`'s avatar leaves every stage of the other, and the other way round."""
+    said = fingerprints(ROOT, ROOT)
+    assert said["avatars"]["lean"] != said["avatars"]["paper"] == said["avatars"]["released"]
+    assert said["methods"]["n3"] == said["methods"]["paper"] != said["methods"]["lean"]
+    trajectory = import_closure(ROOT / "stages/trajectory.py", ROOT)
+    for kind in ("avatars/plain_avatar.py", "avatars/networks_avatar.py", "motion/clip.py"):
+        assert ROOT / "deblur_avatar" / kind not in trajectory
+
+
 def test_refreshing_writes_fingerprints_and_copies_where_the_pipeline_runs(project):
     (project / "dvc.yaml").write_text("stages:\n  code:\n    cmd: new\n")
     for folder, text in (("copy", "stages:\n  code:\n    cmd: old\n"), ("other", "stages: {}\n")):
@@ -176,15 +256,15 @@ def test_refreshing_writes_fingerprints_and_copies_where_the_pipeline_runs(proje
         (project / "experiments" / folder / "dvc.yaml").write_text(text)
     names = ["code.json", "experiments/copy/dvc.yaml", "experiments/copy/code.json"]
     assert refresh(project) == [project / name for name in names]
-    assert json.loads((project / "code.json").read_text()) == fingerprints(project)
+    assert json.loads((project / "code.json").read_text()) == fingerprints(project, project)
     assert "new" in (project / "experiments/copy/dvc.yaml").read_text()
     assert refresh(project) == []
 
 
 def test_scripts_by_themselves_have_the_fingerprints_of_the_installed_package(tmp_path):
     shutil.copytree(ROOT / "stages", tmp_path / "stages")
-    ours = fingerprints(ROOT)
-    assert fingerprints(tmp_path) == {name: ours[name] for name in ours if name not in SUITE}
+    ours = fingerprints(ROOT, ROOT)
+    assert fingerprints(tmp_path, ROOT) == {name: ours[name] for name in ours if name not in SUITE}
 
 
 def test_what_a_stage_really_loads_is_within_its_closure():
