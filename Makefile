@@ -44,14 +44,10 @@ proof: export DEBLUR_AVATAR_THREADS := 1
 proof: code
 	$(BIN)/deblur-avatar proof $(if $(PARTS),--parts $(PARTS)) $(if $(PLAN),--plan)
 
-# Where methods fail, on small scenes with known truth: stability/reports/index.html. Scenes first, then two methods
-# at a time.
-stability: export PATH := $(CURDIR)/$(BIN):$(PATH)
-stability: export OMP_NUM_THREADS := 1
+# Where methods fail, on small scenes with known truth: stability/reports/index.html. As many modes at a time as there
+# are cores.
 stability: code
-	dvc repro stability/dvc.yaml:stability_scene
-	printf '%s\n' lean paper agnostic | xargs -P 2 -I{} dvc --wait-for-lock repro -s stability/{}/dvc.yaml
-	dvc repro -s stability/dvc.yaml:stability_report
+	$(BIN)/deblur-avatar sweep stability/dvc.yaml:stability_report
 
 test: $(STAMP)
 	$(BIN)/ruff check .

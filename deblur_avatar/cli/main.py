@@ -15,6 +15,7 @@ COMMANDS = {
     "check": "say whether scenes are fit for training",
     "repro": "run the whole pipeline as far as this machine has the footage",
     "proof": "fit every avatar with every motion on the report scenes, and say what it is worth",
+    "sweep": "run pipelines' stages many at a time, on this machine or a Ray cluster",
     "report": "write the report over the results there are",
     "film": "write the video of a street scene",
     "export": "write a fitted run as a file that other programs open",
@@ -28,8 +29,8 @@ first steps, in any folder:
   deblur-avatar video clip.mp4            writes ./clip/avatar.html
   deblur-avatar <command> --help          what a command reads and writes
 
-setup, video, export, view and completion run anywhere; check, repro, report and film run the
-repository's own pipeline, in a checkout of it.
+setup, video, export, view and completion run anywhere; check, repro, proof, sweep, report and film
+run the repository's own pipelines, in a checkout of it.
 
 exit codes:
   0    all went well; of video also where the avatar fails its self-check, which its last line says

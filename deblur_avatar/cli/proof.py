@@ -1,16 +1,17 @@
 """Make the proof: every avatar with every motion on the report scenes; docs/evidence.md.
 
-Says first what it will take, then works off what is not there yet, two scenes at a time, and goes
-on where it was stopped.
+Says first what it will take, then works off what is not there yet, two stages at a time
+(`deblur-avatar sweep`), and goes on where it was stopped.
 """
 
 import argparse
 import logging
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from deblur_avatar.cli.running_dvc import check_checkout, reproduce
+from deblur_avatar.cli.sweep import sweep
 from deblur_avatar.config.proof import (
     Cell,
     ProofParams,
@@ -18,24 +19,23 @@ from deblur_avatar.config.proof import (
     iterations_of,
     load_plan,
     seconds_of,
-    warmup_of,
 )
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.parameters import SceneParams
+from deblur_avatar.sweep.local_engine import LocalEngine, memory_here_mb
 
 logger = logging.getLogger(__name__)
 
 FOLDER = Path("experiments/proof")
 PARAMS = FOLDER / "params.yaml"
-STAGES = ("trajectory", "fusion", "evaluate", "learning_curve")  # of a cell, in their order
-MADE_ONCE = ("body@anny",)  # of the root's pipeline
+LAST = ("evaluate", "learning_curve")  # stages of a cell that no other stands on
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of the subcommand."""
     parser.add_argument("--parts", nargs="*", default=[], help="of params.yaml; default: proof.run")
-    parser.add_argument("--at-once", type=int, default=2, help="scenes worked on at a time")
+    parser.add_argument("--at-once", type=int, default=2, help="stages run at a time")
     parser.add_argument("--plan", action="store_true", help="say what it would take, and stop")
 
 
@@ -49,34 +49,23 @@ def run(asked: argparse.Namespace) -> int:
         name: cell for name, cell in cells_of(plan, parts).items() if cell.scene not in missing
     }
     left = {name: cell for name, cell in cells.items() if not is_there(cell)}
-    scenes = in_order(plan, cells, left)
+    scenes = dict.fromkeys(cell.scene for cell in cells.values())
     logger.info("%s", what_it_takes(plan, cells, left, asked.at_once))
     if asked.plan:
         return 0
-    code = reproduce(roots_stages(plan, scenes))
-    if code:
-        return code
-    with ThreadPoolExecutor(asked.at_once) as pool:
-        codes = list(pool.map(lambda scene: _reproduce_scene(plan, scene, cells), scenes))
-    failed = [code for code in codes if code]
-    if failed:
-        return failed[0]
-    return reproduce(["--single-item", str(FOLDER / "dvc.yaml")], refreshed=True)
+    asked_for = [target for scene in scenes for target in targets(plan, scene, cells)]
+    cores, root = asked.at_once, Path()
+    code = sweep(
+        root, asked_for, cores,
+        engine=lambda: LocalEngine(root, cores, memory_here_mb(), os.environ),
+    )  # fmt: skip
+    # The page alone: of parts that were not asked for it shows what there is.
+    return code or reproduce(["--single-item", str(FOLDER / "dvc.yaml")], refreshed=True)
 
 
 def is_there(cell: Cell) -> bool:
     """Whether a cell's results are; DVC alone knows whether they are of today's code."""
     return (FOLDER / "metrics" / cell.scene / "learning_curve" / f"{cell.name}.json").exists()
-
-
-def in_order(plan: ProofParams, cells: dict[str, Cell], left: dict[str, Cell]) -> list[str]:
-    """The scenes, those with most to do first, so that none is alone at the end."""
-    iterations = iterations_of(PARAMS)
-    work = {
-        scene: seconds_of(plan, [c for c in left.values() if c.scene == scene], iterations)
-        for scene in dict.fromkeys(cell.scene for cell in cells.values())
-    }
-    return sorted(work, key=lambda scene: -work[scene])
 
 
 def what_it_takes(
@@ -94,32 +83,16 @@ def what_it_takes(
         lines.append(f"  {scene}: {len(own)} cells ({schedules}), {seconds / 60:.0f} min")
     costs = plan.costs
     lines.append(
-        f"In all {total / 3600:.1f} hours of one core ({costs.machine}); with {at_once} scenes at "
+        f"In all {total / 3600:.1f} hours of one core ({costs.machine}); with {at_once} stages at "
         f"a time not less than {total / 3600 / at_once:.1f} hours."
     )
     return "\n".join(lines)
 
 
-def roots_stages(plan: ProofParams, scenes: Sequence[str]) -> list[str]:
-    """Targets of the pipeline at the root that the scenes stand on."""
-    shared = [name for name in scenes if plan.scenes[name].filmed == "root"]
-    return [*MADE_ONCE, *(f"preprocess@{name}" for name in shared)]
-
-
-def targets(plan: ProofParams, scene: str, cells: Sequence[Cell]) -> list[str]:
-    """What to ask DVC for, each after what it stands on."""
-    pipeline = f"{FOLDER / scene}/dvc.yaml"
-    here = plan.scenes[scene].filmed == "here"
-    items = [f"{stage}@{scene}" for stage in ("clip", "blur", "preprocess") if here]
-    items += dict.fromkeys(f"warmup@{warmup_of(cell, plan)}" for cell in cells)
-    items += [f"{stage}@{cell.name}" for cell in cells for stage in STAGES]
-    return [f"{pipeline}:{item}" for item in items]
-
-
-def _reproduce_scene(plan: ProofParams, scene: str, cells: dict[str, Cell]) -> int:
-    own = [cell for cell in cells.values() if cell.scene == scene]
-    # Single items: two processes must not both refresh what all stand on.
-    return reproduce(["--single-item", *targets(plan, scene, own)], refreshed=True)
+def targets(plan: ProofParams, scene: str, cells: Mapping[str, Cell]) -> list[str]:
+    """What to ask DVC for of one scene; what that stands on follows from the pipelines."""
+    own = [cell.name for cell in cells.values() if cell.scene == scene]
+    return [f"{FOLDER / scene}/dvc.yaml:{stage}@{name}" for name in own for stage in LAST]
 
 
 def _missing_footage(plan: ProofParams, parts: Sequence[str]) -> set[str]:

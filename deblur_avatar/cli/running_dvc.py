@@ -9,6 +9,7 @@ from pathlib import Path
 from deblur_avatar.cli.homes import missing_of_checkout
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import refresh
+from deblur_avatar.sweep.commands import python_first
 
 
 def check_checkout(folder: Path) -> None:
@@ -41,13 +42,10 @@ def reproduce(*steps: Sequence[str], folder: Path = Path(), refreshed: bool = Fa
     """
     if not (refreshed or missing_of_checkout(folder)):
         refresh(folder)
-    # Stage commands say `python`: the environment's own, whatever the shell's path says.
-    here = str(Path(sys.executable).parent)
-    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ.get('PATH', '')}"}
     for step in steps:
         waiting = ["--wait-for-lock"] if refreshed else []
         command = [sys.executable, "-m", "dvc", *waiting, "repro", *step]
-        code = finish(command, environment, folder)
+        code = finish(command, python_first(os.environ), folder)
         if code != 0:
             return code
     return 0

@@ -1,5 +1,5 @@
 import logging
-import threading
+from dataclasses import dataclass
 
 import pytest
 from ruamel.yaml import YAML
@@ -43,7 +43,7 @@ def test_it_says_what_it_takes_before_it_starts(folder, caplog):
     assert "15 cells, 0 of them there already." in caplog.text
     assert "leaping: 9 cells (x1), 11 min" in caplog.text
     assert "leaping_17: 6 cells (x1), 9 min" in caplog.text
-    assert "0.3 hours of one core (an abacus); with 2 scenes at a time" in caplog.text
+    assert "0.3 hours of one core (an abacus); with 2 stages at a time" in caplog.text
 
 
 def test_what_is_there_costs_nothing_more(folder, caplog):
@@ -55,51 +55,52 @@ def test_what_is_there_costs_nothing_more(folder, caplog):
     assert "leaping_17: 0 cells (), 0 min" in caplog.text
 
 
-def test_scenes_are_worked_off_and_the_page_is_written(folder, monkeypatch):
-    commands = Commands(monkeypatch, [0, 0, 0, 0])
-    assert main(["proof", "--at-once", "1"]) == 0
-    first, longest, other, page = commands.calls
-    assert first == ["-m", "dvc", "repro", "body@anny"]
-    alone = ["-m", "dvc", "--wait-for-lock", "repro", "--single-item"]
-    assert longest[:5] == other[:5] == page[:5] == alone
-    assert longest[5] == "experiments/proof/leaping/dvc.yaml:clip@leaping"
-    assert other[5] == "experiments/proof/leaping_17/dvc.yaml:clip@leaping_17"
-    assert page[5:] == ["experiments/proof/dvc.yaml"]
+@pytest.fixture
+def swept(monkeypatch):
+    """What sweeps were asked for: targets, and how many at a time; each ends well."""
+    asked = []
+
+    def sweep(root, targets, cores, *, engine):
+        asked.append((targets, cores))
+        return asked_codes.pop(0) if asked_codes else 0
+
+    asked_codes = []
+    monkeypatch.setattr(proof, "sweep", sweep)
+    return Swept(asked, asked_codes)
 
 
-def test_every_target_comes_after_what_it_stands_on(folder):
-    cells = [cell for cell in cells_of(small_plan()).values() if cell.scene == "leaping"]
-    asked = [t.rpartition(":")[2] for t in proof.targets(small_plan(), "leaping", cells)]
-    assert asked[:3] == ["clip@leaping", "blur@leaping", "preprocess@leaping"]
-    assert len(asked) == len(set(asked)) == 3 + 6 + 4 * 9
-    place = {target: index for index, target in enumerate(asked)}
-    for chain in (
-        ["preprocess@leaping", "warmup@plain-blurred-x1-seed_1"],
-        ["warmup@plain-blurred-x1-seed_1", "trajectory@plain-clip-x1-seed_1"],
-        [f"{stage}@plain-clip-x1-seed_1" for stage in proof.STAGES],
-    ):
-        assert [place[target] for target in chain] == sorted(place[target] for target in chain)
+@dataclass
+class Swept:
+    calls: list
+    codes: list
 
 
-def test_a_scene_of_the_root_is_made_there(folder, monkeypatch):
-    commands = Commands(monkeypatch, [0, 0, 0])
+PAGE = ["-m", "dvc", "--wait-for-lock", "repro", "--single-item", "experiments/proof/dvc.yaml"]
+
+
+def test_all_cells_are_swept_and_then_the_page_is_written(folder, swept, monkeypatch):
+    commands = Commands(monkeypatch, [0])
+    assert main(["proof", "--at-once", "3"]) == 0
+    ((targets, cores),) = swept.calls
+    assert cores == 3
+    assert len(targets) == len(set(targets)) == 2 * 15
+    assert "experiments/proof/leaping/dvc.yaml:evaluate@plain-clip-x1-seed_1" in targets
+    assert "experiments/proof/leaping_17/dvc.yaml:learning_curve@plain-clip-x1-seed_0" in targets
+    assert commands.calls == [PAGE]
+
+
+def test_a_part_is_swept_alone(folder, swept, monkeypatch):
+    Commands(monkeypatch, [0])
     assert main(["proof", "--parts", "converged"]) == 0
-    assert commands.calls[0][3:] == ["body@anny", "preprocess@studio"]
-    assert (
-        commands.calls[1][5] == "experiments/proof/studio/dvc.yaml:warmup@plain-blurred-x1-seed_0"
-    )
+    ((targets, _),) = swept.calls
+    assert {target.partition(":")[0] for target in targets} == {"experiments/proof/studio/dvc.yaml"}
 
 
-def test_a_scene_that_fails_leaves_the_others_to_go_on_and_no_page(folder, monkeypatch):
-    commands = Commands(monkeypatch, [0, 3, 0])
-    assert main(["proof", "--at-once", "1"]) == 3
-    assert len(commands.calls) == 3
-
-
-def test_nothing_is_fitted_where_the_footage_cannot_be_made(folder, monkeypatch):
-    commands = Commands(monkeypatch, [3])
-    assert main(["proof"]) == 3
-    assert len(commands.calls) == 1
+def test_a_cell_that_fails_leaves_the_page_as_it_was(folder, swept, monkeypatch):
+    commands = Commands(monkeypatch, [])
+    swept.codes.append(1)
+    assert main(["proof"]) == 1
+    assert commands.calls == []
 
 
 def test_a_scene_whose_motion_is_missing_is_named_and_left_out(folder, monkeypatch, caplog):
@@ -121,19 +122,6 @@ def test_a_part_that_is_not_there_is_one_line(folder, capsys):
     assert main(["proof", "--parts", "grit"]) == 1
     error = capsys.readouterr().err
     assert error == ("ConfigError: no part 'grit' in the proof, there is grid, seeds, converged\n")
-
-
-def test_two_scenes_run_at_a_time(folder, monkeypatch):
-    """Each of two waits until the other has begun; alone either would wait for ever."""
-    both = threading.Barrier(2, timeout=20)
-
-    def finish(command, environment, folder):
-        if any("clip@" in word for word in command):
-            both.wait()
-        return 0
-
-    monkeypatch.setattr(running_dvc, "finish", finish)
-    assert main(["proof"]) == 0
 
 
 def test_a_cell_is_there_once_its_last_stage_has_written(folder):

@@ -1,0 +1,77 @@
+"""A grid of parameters becomes experiments that DVC knows."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.sweep.grid import grid, name_of, tasks_of
+from tests.structure.small_repository import commit
+from tests.sweep.small_sweep import ROOT, begin_project, called
+
+
+def test_every_combination_is_there_once():
+    assert grid(["a.b=1,2", "c=x"]) == [{"a.b": "1", "c": "x"}, {"a.b": "2", "c": "x"}]
+    assert len(grid(["a=1,2,3", "b=1,2"])) == 6
+    assert grid([]) == [{}]
+
+
+@pytest.mark.parametrize("words", [["a"], ["a="], ["=1"], ["a=1,,2"], ["a=1", "a=2"]])
+def test_what_is_no_grid_is_refused(words):
+    with pytest.raises(ConfigError, match="-S "):
+        grid(words)
+
+
+def test_names_tell_experiments_apart_or_are_refused():
+    assert name_of({"p/params.yaml:schedule": "short", "m.l.knots": "1e-3"}) == (
+        "schedule-short_knots-1e-3"
+    )
+    tasks = tasks_of(Path(), "p/dvc.yaml", grid(["a.b=1,2"]), 10.0)
+    assert list(tasks) == ["b-1", "b-2"]
+    with pytest.raises(ConfigError, match="would be called b-1"):
+        tasks_of(Path(), "p/dvc.yaml", [{"a.b": "1"}, {"c.b": "1"}], 10.0)
+
+
+@pytest.fixture
+def project(tmp_path) -> Path:
+    root = tmp_path / "project"
+    root.mkdir()
+    begin_project(root)
+    return root
+
+
+def swept(project: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "deblur_avatar.cli.main", "sweep", *words], cwd=project,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_experiments_are_what_dvc_shows(project):
+    values = ["-S", "experiments/more/params.yaml:runs.more_one.size=1,2"]
+    stale = swept(project, "experiments/more", *values)
+    assert stale.returncode == 1
+    assert "8 stages are out of date as they stand" in stale.stderr
+    called(project, "dvc", "repro", "experiments/more/dvc.yaml")
+    commit(project)
+    (project / "params.yaml").write_text((project / "params.yaml").read_text() + "\n# mine\n")
+    changed = swept(project, "experiments/more", *values)
+    assert changed.returncode == 1
+    assert "commit your changes first" in changed.stderr
+    called(project, "git", "checkout", "-q", "params.yaml")
+    done = swept(project, "experiments/more", *values, "--at-once", "2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 of 2 tasks done" in done.stdout
+    (shown,) = json.loads(called(project, "dvc", "exp", "show", "--json"))[1:]
+    names = {one["name"] for one in shown["experiments"]}
+    assert names == {"size-1", "size-2"}
+    said = [
+        one["revs"][0]["data"]["params"]["experiments/more/params.yaml"]["data"]["runs"]["more_one"]
+        for one in shown["experiments"]
+    ]
+    assert sorted(one["size"] for one in said) == [1, 2]

@@ -1,0 +1,187 @@
+"""A sweep on this machine ends as `dvc repro` would, whatever happens on the way."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.sweep.costs import REMEMBERED, Costs
+from tests.sweep.small_sweep import (
+    ROOT,
+    begin_project,
+    begun,
+    called,
+    copied,
+    process_of,
+    results,
+    tell,
+)
+
+SWEEP = ("python", "-m", "deblur_avatar.cli.main", "sweep")
+MORE = "experiments/more"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    root: Path = tmp_path_factory.mktemp("made")
+    begin_project(root)
+    return root
+
+
+@pytest.fixture
+def project(made, tmp_path) -> Path:
+    return copied(made, tmp_path / "swept")
+
+
+@pytest.fixture(scope="module")
+def serial(made, tmp_path_factory) -> dict[str, bytes]:
+    """What `dvc repro` makes, one stage after the other."""
+    root = copied(made, tmp_path_factory.mktemp("serial") / "one")
+    called(root, "dvc", "repro", "dvc.yaml", f"{MORE}/dvc.yaml")
+    return results(root)
+
+
+def swept(project: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """A sweep, which may end badly."""
+    variables = os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"}
+    return subprocess.run(
+        [sys.executable, *SWEEP[1:], *words], cwd=project, env=variables, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+
+
+def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, serial):
+    done = swept(project, "dvc.yaml", MORE, "--at-once", "3")
+    assert done.returncode == 0, done.stderr
+    assert "16 of 16 tasks done" in done.stdout
+    assert results(project) == serial
+    again = swept(project, "dvc.yaml", MORE)
+    assert "0 of 0 tasks done" in again.stdout
+    assert "up to date" in called(project, "dvc", "repro", "--dry", "-s", "score@root_one")
+
+
+def test_a_killed_stage_is_begun_again_and_a_failed_one_leaves_the_rest(project, serial):
+    tell(project, "fit-root_one", "die once")
+    tell(project, "fit-root_two", "fail")
+    done = swept(project, "dvc.yaml", "--at-once", "2")
+    assert done.returncode == 1
+    assert "the cloth is torn" in done.stdout
+    assert "failed: fit@root_two" in done.stdout
+    assert "left, since it needs one that failed: score@root_two" in done.stdout
+    assert begun(project, "root_one") == ["fit", "fit", "score"]
+    assert begun(project, "root_two") == ["fit"]
+    tell(project, "fit-root_two", "")
+    assert "2 of 2 tasks done" in swept(project, "dvc.yaml").stdout
+    swept(project, MORE)
+    assert results(project).keys() == serial.keys()
+
+
+def waiting_sweep(project: Path) -> "subprocess.Popen[str]":
+    """A sweep one stage of which waits, once that one has begun."""
+    tell(project, "fit-root_three", "wait")
+    process = subprocess.Popen(
+        [sys.executable, *SWEEP[1:], "dvc.yaml"], cwd=project, text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    while not (project / "begun" / "root_three").exists():
+        assert process.poll() is None, process.communicate()[0]
+        time.sleep(0.1)
+    return process
+
+
+def gone(process: int) -> bool:
+    """Whether a process ends, waited for as long as a busy machine may need."""
+    for _ in range(1000):
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def test_a_second_sweep_is_refused_and_a_stopped_one_goes_on(project):
+    process = waiting_sweep(project)
+    second = swept(project, "dvc.yaml")
+    assert second.returncode == 1
+    assert "another sweep works in" in second.stderr
+    os.kill(process.pid, signal.SIGINT)
+    said, _ = process.communicate()
+    assert process.returncode == 130, said
+    assert gone(process_of(project, "root_three"))
+    tell(project, "fit-root_three", "")
+    done = swept(project, "dvc.yaml")
+    assert done.returncode == 0, done.stderr
+    assert begun(project, "root_three")[-2:] == ["fit", "score"]
+    assert "up to date" in called(project, "dvc", "repro", "--dry", "-s", "score@root_three")
+
+
+def test_nothing_is_left_running_when_the_sweep_is_killed(project):
+    process = waiting_sweep(project)
+    process.kill()
+    process.wait()
+    assert gone(process_of(project, "root_three"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["experiments/none/"], "not found inside"),
+        (["stages"], "no dvc.yaml in stages"),
+        (["dvc.yaml", "--address", "auto"], "say --engine ray"),
+        (["dvc.yaml", "--at-once", "0"], "--at-once: wanted 1 or more, got 0"),
+        (["dvc.yaml", "--retries", "-1"], "--retries: wanted 0 or more, got -1"),
+        (["dvc.yaml", "--plan", "0"], "--plan: wanted numbers of workers from 1, got 0"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_1(project, words, said):
+    done = swept(project, *words)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("ConfigError: ")
+    assert said in done.stderr
+
+
+def test_a_plan_says_what_it_takes_and_runs_nothing(project):
+    (project / REMEMBERED).parent.mkdir(parents=True, exist_ok=True)
+    (project / REMEMBERED).write_text(json.dumps({"fit@root_one": 3600.0, "score@x": 97.0}))
+    done = swept(project, "dvc.yaml", "--plan", "1", "4")
+    assert done.returncode == 0, done.stderr
+    assert "8 tasks; the longest chain of them takes 1.04 hours." in done.stdout
+    assert done.stdout.count("\n|") + done.stdout.startswith("|") == 4
+    assert not (project / "begun").exists()
+
+
+def test_costs_are_remembered_measured_of_the_like_or_guessed(tmp_path):
+    costs = Costs(tmp_path)
+    assert costs.of("p/dvc.yaml:fit@a", []).seconds == 30.0
+    said = tmp_path / "metrics/cost/fit/a.json"
+    said.parent.mkdir(parents=True)
+    said.write_text('{"seconds": 12.5, "peak_memory_mb": 400.0}')
+    assert costs.of("p/dvc.yaml:fit@a", [said]).memory_mb == 400.0
+    assert costs.of("p/dvc.yaml:fit@a", [said]).seconds == 12.5
+    costs.remember({"p/dvc.yaml:fit@b": 20.04})
+    again = Costs(tmp_path)
+    assert again.of("p/dvc.yaml:fit@b", []).seconds == 20.0
+    assert again.of("q/dvc.yaml:fit@c", []).seconds == 20.0
+    assert again.of("p/dvc.yaml:score@c", []).seconds == 30.0
+    (tmp_path / REMEMBERED).write_text("{")
+    assert Costs(tmp_path).remembered == {}
+
+
+def test_without_ray_the_answer_is_what_to_install(project):
+    hidden = "import sys; sys.modules['ray'] = None; from deblur_avatar.cli.main import main; "
+    done = subprocess.run(
+        [sys.executable, "-c", f"{hidden}sys.exit(main(['sweep', 'dvc.yaml', '--engine', 'ray']))"],
+        cwd=project, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "pip install 'deblur-avatar[cluster]'" in done.stderr

@@ -1,0 +1,63 @@
+"""A sweep on a Ray cluster of two machines, one of which goes away half way.
+
+Both are raylets of this machine, which share its folder.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from deblur_avatar.sweep.costs import Costs
+from deblur_avatar.sweep.scheduler import work_off
+from deblur_avatar.sweep.stages import Pipelines
+from tests.sweep.small_sweep import ROOT, begin_project, begun, called, copied, results, tell
+
+pytest.importorskip("ray", reason="Ray is not installed: pip install 'deblur-avatar[cluster]'")
+cluster_utils = pytest.importorskip("ray.cluster_utils")
+MACHINE = {"num_cpus": 1, "include_dashboard": False}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    root: Path = tmp_path_factory.mktemp("made")
+    begin_project(root)
+    return root
+
+
+def test_a_machine_that_goes_away_costs_its_task_alone(made, tmp_path, monkeypatch):
+    from deblur_avatar.sweep.ray_engine import RayEngine
+
+    serial = copied(made, tmp_path / "serial")
+    called(serial, "dvc", "repro", "dvc.yaml")
+    project = copied(made, tmp_path / "swept")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.chdir(project)
+    pipelines = Pipelines(project, ["dvc.yaml"])
+    pipelines.run_always_changed()
+    tasks = pipelines.tasks(Costs(project))
+    before = pipelines.locks()
+    tell(project, "warm-root_a", "wait")
+    tell(project, "warm-root_b", "wait")
+    left = []
+    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=MACHINE)
+    other = cluster.add_node(**MACHINE)
+
+    def watch(progress, ended):
+        """Once both machines are at work, one goes away, and nothing waits any more."""
+        if not left and begun(project, "root_a") and begun(project, "root_b"):
+            left.append(other)
+            tell(project, "warm-root_a", "")
+            tell(project, "warm-root_b", "")
+            cluster.remove_node(other, allow_graceful=False)
+
+    try:
+        engine = RayEngine(project, cluster.address, os.environ)
+        progress = work_off(tasks, engine, watch, retries=2)
+    finally:
+        cluster.shutdown()
+    pipelines.put_in_order(before)
+    assert progress.failed == {}
+    assert len(progress.done) == 8
+    assert sum(progress.lost.values()) == 1
+    assert results(project) == results(serial)
