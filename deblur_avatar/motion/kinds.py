@@ -16,6 +16,8 @@ KINDS: Registry[Trajectory] = Registry(
         "learned": "deblur_avatar.motion.learned:LearnedMotion",
         "released": "deblur_avatar.motion.released:ReleasedMotion",
         "clip": "deblur_avatar.motion.clip:ClipMotion",
+        "mad": "deblur_avatar.motion.mad:MadMotion",
+        "network": "deblur_avatar.motion.pose_network:NetworkMotion",
     }
 )
 

@@ -35,7 +35,7 @@ def section(tiny_content):
     stated = {m["trajectory"]["motion"]["kind"]: m["trajectory"]["motion"] for m in methods}
 
     def make(kind, **changes):
-        return KINDS[kind].Params(**(stated[kind] | changes))
+        return parse(KINDS[kind].Params, stated[kind] | changes, kind)
 
     return make
 
