@@ -1,4 +1,10 @@
-"""Exceptions: the ways in which a run can end early; each is one line and exit code 1."""
+"""Exceptions: the ways in which a run can end early; each is one line and exit code 1.
+
+Ctrl-C is none of them: it says `STOPPED`, with the exit code that shells give it.
+"""
+
+INTERRUPTED = 130  # 128 and SIGINT's number
+STOPPED = "Stopped. The same command goes on where it stopped."
 
 
 class ConfigError(ValueError):

@@ -24,6 +24,8 @@ import torch
 from tqdm import tqdm
 
 from deblur_avatar.errors import (
+    INTERRUPTED,
+    STOPPED,
     ArtifactError,
     ConfigError,
     FittingError,
@@ -55,7 +57,9 @@ class Context:
 def command(main: Callable[..., None]) -> None:
     """Run a stage's `main` with its parameters as command-line options, all required.
 
-    What a caller can mend (deblur_avatar/errors.py) becomes one line and exit code 1.
+    What a caller can mend (deblur_avatar/errors.py) becomes one line and exit code 1, an
+    interrupting keyboard one line and exit code 130. Each output is written in one
+    move, so that a stage that is stopped leaves none of them half.
     """
     parser = argparse.ArgumentParser(description=inspect.getdoc(main))
     for name, parameter in inspect.signature(main).parameters.items():
@@ -67,6 +71,9 @@ def command(main: Callable[..., None]) -> None:
     except (ConfigError, ArtifactError, FittingError) as error:
         sys.stderr.write(f"{type(error).__name__}: {error}\n")
         raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        sys.stderr.write(f"\n{STOPPED}\n")
+        raise SystemExit(INTERRUPTED) from None
 
 
 @contextmanager

@@ -6,7 +6,13 @@ import logging
 import sys
 from collections.abc import Collection, Sequence
 
-from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
+from deblur_avatar.errors import (
+    INTERRUPTED,
+    STOPPED,
+    ArtifactError,
+    ConfigError,
+    FittingError,
+)
 
 # Modules and what they do; a module is imported once it is asked for, because torch takes seconds.
 COMMANDS = {
@@ -21,7 +27,6 @@ COMMANDS = {
     "view": "turn a fitted avatar by hand in a browser on this machine",
     "completion": "print what completes these words on a shell's command line",
 }
-INTERRUPTED = 130  # as shells say it
 MANUAL = """\
 first steps, in any folder:
   deblur-avatar setup
@@ -61,7 +66,7 @@ def main(words: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{type(error).__name__}: {error}\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("\nStopped. The same command goes on where it stopped.\n")
+        sys.stderr.write(f"\n{STOPPED}\n")
         return INTERRUPTED
     return code
 
