@@ -1,4 +1,4 @@
-"""A run that is being fitted: what it leaves on disk, written as fitting writes it."""
+"""Runs that are fitted or being fitted: what they leave on disk, as fitting writes it."""
 
 import dataclasses
 import shutil
@@ -57,3 +57,25 @@ def end(fitting, scene):
         shutil.rmtree(out.with_name(f".{out.name}.unfinished"), ignore_errors=True)
 
     return end
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch, scene):
+    """A checkout with one fitted run, and an avatar of a video's with two."""
+    run = {"scene": "capsules", "observations": "blurred", "avatar": "lean", "method": "lean"}
+    for folder, runs in (("", ["capsules-lean"]), ("avatars/anna", ["anna-lean", "anna-paper"])):
+        place = tmp_path / folder
+        for name in runs:
+            scene.avatar.save(place / "data/fusion" / name / "avatar")
+            scene.motion.save(place / "data/fusion" / name / "motion")
+        scene.observations.save(place / "data/preprocess/capsules/blurred")
+        sizes = {"gaussians": 80, "image_height": 24, "levels": []}
+        content = {
+            "from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run),
+            "schedule": "tiny",
+            "schedules": {"tiny": {"warmup": 6, "trajectory": 12, "fusion": 18} | sizes},
+        }  # fmt: skip
+        with (place / "params.yaml").open("w") as file:
+            YAML().dump(content, file)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
