@@ -7,9 +7,18 @@ import pytest
 import torch
 from ruamel.yaml import YAML
 
+from deblur_avatar.cli import shared_bodies
 from deblur_avatar.training.resume import Snapshot, run_folder
 
 ENDS = {"warmup": 6, "trajectory": 12, "fusion": 18}
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path_factory, monkeypatch):
+    """The user's cache, of a user who has nothing."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(shared_bodies, "cache_folder", lambda: folder)
+    return folder
 
 
 @pytest.fixture

@@ -49,6 +49,7 @@ MISTAKES = [
     Mistake("anywhere", "video clip.mp4 --method leen", 1, "no method 'leen', there is"),
     Mistake("anywhere", "video clip.mp4 --schedule larg", 1, "no schedule 'larg', there is"),
     Mistake("anywhere", "video clip.mp4 --preview=yes", 2, "--preview: ignored explicit argument"),
+    Mistake("anywhere", "video clip.mp4 --own-body=yes", 2, "--own-body: ignored explicit"),
     Mistake("anywhere", "check", 1, "no dvc.yaml, params.yaml, stages in"),
     Mistake("a checkout", "check stduio", 1, "no scene 'stduio' in params.yaml, there is studio"),
     Mistake("anywhere", "repro", 1, "no dvc.yaml, params.yaml, stages in"),
