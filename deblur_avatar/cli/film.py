@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from deblur_avatar.artifacts.body import Body
+from deblur_avatar.cli.running_dvc import check_checkout
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.imaging.video_writing import write_video
@@ -20,6 +21,7 @@ from deblur_avatar.sources.studio.street import StreetParams
 logger = logging.getLogger(__name__)
 
 PARAMS, BODIES = Path("params.yaml"), Path("data/body")
+SUFFIX = ".mp4"
 
 
 def film_scene(scene: str, out: Path, params_file: Path, bodies: Path) -> int:
@@ -47,7 +49,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Film and say how much."""
+    """Film and say how much; returns 0.
+
+    Raises:
+        ConfigError: if this is no checkout, the file's name is no video's, or as `film_scene`.
+        ArtifactError: as `film_scene`.
+    """
+    check_checkout(Path())
+    if asked.out.suffix != SUFFIX:
+        raise ConfigError(f"--out {asked.out}: a video's name ends in {SUFFIX}")
     count = film_scene(asked.scene, asked.out, PARAMS, BODIES)
     logger.info("%s: %d frames of scene %s", asked.out, count, asked.scene)
     return 0

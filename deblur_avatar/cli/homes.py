@@ -69,7 +69,10 @@ def home_of(name: str, here: Path) -> Home:
         return Home(here / AVATARS / name, here, here)
     folder = here / name
     if folder.exists() and not (folder / PARAMS).is_file():
-        raise ConfigError(f"{folder} is there and holds no avatar; choose another --name")
+        raise ConfigError(
+            f"{folder} is there and holds no avatar, which would be made in it; choose another "
+            f"name: --name {name}_avatar"
+        )
     return Home(folder, folder / OWN_ROOT, pipeline_files())
 
 

@@ -42,7 +42,8 @@ exit codes:
 environment:
   DEBLUR_AVATAR_DEVICE          cpu, cuda; default: a GPU where there is one
   DEBLUR_AVATAR_THREADS         of native kernels; results are the same for any number
-  DEBLUR_AVATAR_CACHE           where compiled kernels are kept; default: ~/.cache/deblur_avatar
+  DEBLUR_AVATAR_CACHE           where compiled kernels and baked bodies are kept, for all folders;
+                                default: $XDG_CACHE_HOME or ~/.cache, there deblur_avatar
   DEBLUR_AVATAR_LPIPS_WEIGHTS   VGG16's weights, for the perceptual distance; none are shipped
 """
 

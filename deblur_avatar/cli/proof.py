@@ -34,14 +34,20 @@ LAST = ("evaluate", "learning_curve")  # stages of a cell that no other stands o
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of the subcommand."""
-    parser.add_argument("--parts", nargs="*", default=[], help="of params.yaml; default: proof.run")
+    parser.add_argument("--parts", nargs="+", default=[], help="of params.yaml; default: proof.run")
     parser.add_argument("--at-once", type=int, default=2, help="stages run at a time")
     parser.add_argument("--plan", action="store_true", help="say what it would take, and stop")
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Say what it will take, fit what is missing, write the page; returns DVC's exit code."""
+    """Say what it will take, fit what is missing, write the page; returns DVC's exit code.
+
+    Raises:
+        ConfigError: if there is no such part, no scene of it can be made here, or none at a time.
+    """
     check_checkout(Path())
+    if asked.at_once < 1:
+        raise ConfigError(f"--at-once {asked.at_once}: wanted 1 or more scenes at a time")
     plan = load_plan(PARAMS)
     parts = asked.parts or list(plan.run)
     missing = _missing_footage(plan, parts)

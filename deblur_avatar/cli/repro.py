@@ -82,7 +82,7 @@ def targets(params_file: Path, missing: Collection[str]) -> list[str]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of the subcommand."""
     parser.add_argument(
-        "--scenes", nargs="*", default=[], help="of params.yaml; default: all but those on request"
+        "--scenes", nargs="+", default=[], help="of params.yaml; default: all but those on request"
     )
 
 

@@ -1,4 +1,4 @@
-"""DVC as a subprocess: reproduce stages of a pipeline."""
+"""DVC as a subprocess: reproduce stages of a pipeline, send what they made."""
 
 import os
 import subprocess
@@ -42,13 +42,25 @@ def reproduce(*steps: Sequence[str], folder: Path = Path(), refreshed: bool = Fa
     """
     if not (refreshed or missing_of_checkout(folder)):
         refresh(folder)
+    waiting = ["--wait-for-lock"] if refreshed else []
     for step in steps:
-        waiting = ["--wait-for-lock"] if refreshed else []
-        command = [sys.executable, "-m", "dvc", *waiting, "repro", *step]
-        code = finish(command, python_first(os.environ), folder)
+        code = _dvc([*waiting, "repro", *step], folder)
         if code != 0:
             return code
     return 0
+
+
+def push(stage: str, folder: Path) -> int:
+    """Send a stage's outputs, and what they were made from, to the folder's remote.
+
+    Returns:
+        DVC's exit code.
+    """
+    return _dvc(["push", "--quiet", "--run-cache", stage], folder)
+
+
+def _dvc(words: Sequence[str], folder: Path) -> int:
+    return finish([sys.executable, "-m", "dvc", *words], python_first(os.environ), folder)
 
 
 def finish(command: Sequence[str], environment: Mapping[str, str], folder: Path) -> int:

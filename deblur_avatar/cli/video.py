@@ -25,11 +25,12 @@ import logging
 import shutil
 from pathlib import Path
 
-from deblur_avatar.cli.avatar_params import PAGE, name_of, prepare
+from deblur_avatar.cli.avatar_params import BODY, PAGE, name_of, prepare
 from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.run_on_disk import RunOnDisk
 from deblur_avatar.cli.running_dvc import reproduce
 from deblur_avatar.cli.setup import ALONE
+from deblur_avatar.cli.shared_bodies import make_body
 from deblur_avatar.config.reading import load_params, parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.evaluation.findings import failures, read_findings
@@ -59,6 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preview", action="store_true", help="show a first avatar early, while the rest is fitted"
     )
+    parser.add_argument(
+        "--own-body", action="store_true",
+        help="bake the body in this folder, take and leave none in the user's cache",
+    )  # fmt: skip
 
 
 def run(asked: argparse.Namespace) -> int:
@@ -72,7 +77,9 @@ def run(asked: argparse.Namespace) -> int:
     name = asked.name or name_of(asked.video)
     home = prepare(asked.video, name, asked.method, asked.schedule, Path())
     run = f"{name}-{asked.method}"
-    code = _first_look(home, run) if asked.preview else 0
+    sharing = home.independent and not asked.own_body  # a checkout's avatars share one anyway
+    code = make_body(home.folder, BODY) if sharing else 0
+    code = code or (_first_look(home, run) if asked.preview else 0)
     code = code or reproduce(*targets(name, asked.method), folder=home.folder)
     if code == 0:
         _show(home, name, run)

@@ -13,9 +13,12 @@ import logging
 
 from deblur_avatar.cli.export import find_run
 from deblur_avatar.cli.shelf import SceneRuns
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.live_viewer import LiveViewer
 
 logger = logging.getLogger(__name__)
+
+LAST_PORT = 65535
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,16 +28,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motions", nargs="+", metavar="MOTION", default=["own", "builtin:jumping_jacks"],
         help="own, builtin:<name> or files (default: own builtin:jumping_jacks)",
     )  # fmt: skip
-    parser.add_argument("--port", type=int, default=8080, help="on this machine (default: 8080)")
+    parser.add_argument(
+        "--port", type=int, default=8080, help="on this machine, or the next free (default: 8080)"
+    )
 
 
 def run(asked: argparse.Namespace) -> int:
     """Serve until the keyboard interrupts; returns 0.
 
     Raises:
-        ConfigError: if there is no such run or motion, or viser is not installed.
+        ConfigError: if there is no such run, motion or port, or viser is not installed.
         ArtifactError: if the run has no avatar yet.
     """
+    if not 0 <= asked.port <= LAST_PORT:  # the server would look for one for ever
+        raise ConfigError(f"--port {asked.port}: wanted 0 (any that is free) to {LAST_PORT}")
     shelf = SceneRuns(*find_run(asked.run), asked.motions)
     first = shelf.news(shelf.names[0])
     assert first is not None  # nothing was asked for before

@@ -21,6 +21,7 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 
 OWN = "own"  # the motion that was filmed
+MOST_FRAMES = 100_000  # an hour at 27 a second; 36 MB of poses
 
 
 class MotionExport(Params):
@@ -53,12 +54,17 @@ def shown_motions(
         seconds: longest duration of what was not filmed.
 
     Raises:
-        ConfigError: if there is no such motion, a name is there twice, or the person cannot be
-            placed.
+        ConfigError: if there is no such motion, a name is there twice, there would be too many
+            frames, or the person cannot be placed.
         ArtifactError: if a file is damaged.
     """
     if not names or len(set(names)) != len(names):
         raise ConfigError(f"export: motions must be named, each once, got {list(names)}")
+    if fps * seconds > MOST_FRAMES:
+        raise ConfigError(
+            f"export: {seconds:g} seconds at {fps:g} frames a second are more than {MOST_FRAMES:,} "
+            "frames; take fewer"
+        )
     return [
         filmed_motion(run) if name == OWN else _driven(run, name, fps, seconds) for name in names
     ]

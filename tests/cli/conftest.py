@@ -1,4 +1,4 @@
-"""A run that is being fitted: what it leaves on disk, written as fitting writes it."""
+"""Runs that are fitted or being fitted: what they leave on disk, as fitting writes it."""
 
 import dataclasses
 import shutil
@@ -7,9 +7,18 @@ import pytest
 import torch
 from ruamel.yaml import YAML
 
+from deblur_avatar.cli import shared_bodies
 from deblur_avatar.training.resume import Snapshot, run_folder
 
 ENDS = {"warmup": 6, "trajectory": 12, "fusion": 18}
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path_factory, monkeypatch):
+    """The user's cache, of a user who has nothing."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(shared_bodies, "cache_folder", lambda: folder)
+    return folder
 
 
 @pytest.fixture
@@ -57,3 +66,25 @@ def end(fitting, scene):
         shutil.rmtree(out.with_name(f".{out.name}.unfinished"), ignore_errors=True)
 
     return end
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch, scene):
+    """A checkout with one fitted run, and an avatar of a video's with two."""
+    run = {"scene": "capsules", "observations": "blurred", "avatar": "lean", "method": "lean"}
+    for folder, runs in (("", ["capsules-lean"]), ("avatars/anna", ["anna-lean", "anna-paper"])):
+        place = tmp_path / folder
+        for name in runs:
+            scene.avatar.save(place / "data/fusion" / name / "avatar")
+            scene.motion.save(place / "data/fusion" / name / "motion")
+        scene.observations.save(place / "data/preprocess/capsules/blurred")
+        sizes = {"gaussians": 80, "image_height": 24, "levels": []}
+        content = {
+            "from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run),
+            "schedule": "tiny",
+            "schedules": {"tiny": {"warmup": 6, "trajectory": 12, "fusion": 18} | sizes},
+        }  # fmt: skip
+        with (place / "params.yaml").open("w") as file:
+            YAML().dump(content, file)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

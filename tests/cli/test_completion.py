@@ -1,5 +1,6 @@
 import contextlib
 import io
+import re
 import shutil
 import subprocess
 
@@ -60,6 +61,17 @@ def test_fish_has_a_line_for_every_command_and_option(scripts):
     assert " -x -a '" in line
     assert "gltf_rig" in line
     assert all(line.startswith("complete -c deblur-avatar -n ") for line in lines)
+
+
+def test_each_line_for_fish_is_one_command_of_known_options_and_closed_quotes(scripts):
+    """By the rules of its manual: within single quotes a backslash escapes itself and a quote."""
+    quoted, bare = r"'(?:[^'\\]|\\['\\])*'", r"[\w.,:-]+"
+    word = f"(?:{quoted}|{bare})"
+    options = rf"-[nadlc] {word}|-[fx]"
+    for line in scripts["fish"].splitlines():
+        assert re.fullmatch(rf"complete(?: (?:{options}))+", line), line
+    for line in ("complete -c a -d 'it's'", "complete -c a; b", "complete -c a -q b"):
+        assert not re.fullmatch(rf"complete(?: (?:{options}))+", line)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

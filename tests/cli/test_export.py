@@ -2,34 +2,11 @@ import logging
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
 from deblur_avatar.animation.amass import read_amass
 from deblur_avatar.cli.main import main
 from deblur_avatar.exports.live_viewer import LiveViewer
 from tests.exports.requirement import imported
-
-
-@pytest.fixture
-def project(tmp_path, monkeypatch, scene):
-    """A checkout with one fitted run, and an avatar of a video's with two."""
-    run = {"scene": "capsules", "observations": "blurred", "avatar": "lean", "method": "lean"}
-    for folder, runs in (("", ["capsules-lean"]), ("avatars/anna", ["anna-lean", "anna-paper"])):
-        place = tmp_path / folder
-        for name in runs:
-            scene.avatar.save(place / "data/fusion" / name / "avatar")
-            scene.motion.save(place / "data/fusion" / name / "motion")
-        scene.observations.save(place / "data/preprocess/capsules/blurred")
-        sizes = {"gaussians": 80, "image_height": 24, "levels": []}
-        content = {
-            "from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run),
-            "schedule": "tiny",
-            "schedules": {"tiny": {"warmup": 6, "trajectory": 12, "fusion": 18} | sizes},
-        }  # fmt: skip
-        with (place / "params.yaml").open("w") as file:
-            YAML().dump(content, file)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def test_a_run_is_written_as_splats_and_as_motion(project, scene):

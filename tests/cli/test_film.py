@@ -25,6 +25,8 @@ def folder(tiny_content, body, tmp_path, monkeypatch):
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump(tiny_content, file)
     body.save(tmp_path / "data" / "body" / scene["body"])
+    (tmp_path / "dvc.yaml").touch()  # as in a checkout
+    (tmp_path / "stages").mkdir()
     return tmp_path
 
 

@@ -52,7 +52,7 @@ def test_its_pipeline_follows_the_package_and_its_parameters_stay(folder):
 
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path):
     (tmp_path / "clip").mkdir()
-    with pytest.raises(ConfigError, match="holds no avatar; choose another --name"):
+    with pytest.raises(ConfigError, match="holds no avatar, .* --name clip_avatar"):
         home_of("clip", tmp_path)
 
 

@@ -182,6 +182,17 @@ def test_the_check_comes_before_the_training(root, video, monkeypatch):
     assert pipeline.asked == ["check@anna", made]
 
 
+@pytest.mark.parametrize("words", [[], ["--own-body"]])
+def test_far_from_a_checkout_the_users_other_folders_are_asked_for_a_body(
+    video, tmp_path_factory, monkeypatch, words
+):
+    monkeypatch.chdir(tmp_path_factory.mktemp("anywhere"))
+    pipeline = Pipeline(monkeypatch, lambda word: 3 if word == "check@anna" else 0)
+    assert main(["video", str(video), "--name", "anna", *words]) == 3
+    shared = ["--pull body@anny", "--quiet --run-cache body@anny"]
+    assert pipeline.asked == [*([] if words else shared), "check@anna"]
+
+
 def test_what_is_not_installed_is_said_before_anything_is_written(root, video, monkeypatch, capsys):
     monkeypatch.chdir(root)
     Pipeline(monkeypatch)

@@ -1,5 +1,6 @@
 """Every control of the page does what its name says, in a real browser."""
 
+import base64
 import io
 import re
 
@@ -14,6 +15,7 @@ from deblur_avatar.geometry.cameras import Camera
 from tests.exports.browser import opened, silent_page
 
 SETTLED = 500  # milliseconds; the page draws sharply and writes its link sooner
+MEAN_ERROR = 8  # of 255, of 255 colours for a person of 600 random ones
 NAMED = ("button", "combobox", "slider", "checkbox", "application")
 
 
@@ -34,6 +36,21 @@ def picture(page) -> np.ndarray:
     """What the browser shows of the avatar, sRGB in [0, 1]."""
     page.wait_for_timeout(SETTLED)
     return np.asarray(Image.open(io.BytesIO(canvas(page).first.screenshot())).convert("RGB")) / 255
+
+
+def pictured(page, seconds) -> np.ndarray:
+    """What the page would save as a picture at a time, RGBA of 255, at a GIF's size."""
+    text = page.evaluate(
+        """(seconds) => {
+          const state = { ...window.page.state, seconds };
+          const canvas = window.page.stage.picture(state, document.createElement("canvas"));
+          return canvas.toDataURL("image/png").split(",")[1];
+        }""",
+        seconds,
+    )
+    image = Image.open(io.BytesIO(base64.b64decode(text))).convert("RGBA")
+    assert max(image.size) <= 480
+    return np.asarray(image).astype(int)
 
 
 def test_every_control_has_a_name(open_page):
@@ -202,6 +219,37 @@ def test_a_clip_is_every_frame_of_the_motion(browser, page_file):
         assert [frame.time for frame in shown] == pytest.approx(np.arange(36) / 30, abs=1e-3)
         assert np.abs(frames[0] - frames[18]).max() > 60
         assert page.get_by_text("Clip saved.").is_visible()
+
+
+@pytest.mark.parametrize("background", ["Dark", "Transparent"])
+def test_a_gif_is_every_frame_of_the_motion_in_nearly_its_colours(browser, page_file, background):
+    with silent_page(browser, 480, 400) as page:
+        opened(page, page_file)
+        page.get_by_role("combobox", name="Motion", exact=True).select_option("Jumping jacks")
+        page.get_by_role("combobox", name="Background").select_option(background)
+        with page.expect_download(timeout=60000) as download:
+            page.get_by_role("button", name="Record GIF").click()
+        assert download.value.suggested_filename == "capsules-lean.gif"
+        page.get_by_text("GIF saved.").wait_for()
+        shown = pictured(page, 10 / 25)
+        with Image.open(download.value.path()) as gif:
+            assert gif.format == "GIF"
+            assert gif.n_frames == 30  # 1.2 s at 25 a second
+            assert gif.info["loop"] == 0
+            frames, durations = [], []
+            for number in range(gif.n_frames):
+                gif.seek(number)
+                durations.append(gif.info["duration"])
+                frames.append(np.asarray(gif.convert("RGBA")).astype(int))
+        assert durations == [40] * 30
+    assert frames[0].shape == shown.shape
+    assert np.abs(frames[0] - frames[13])[..., :3].max() > 60
+    error = np.abs(frames[10] - shown)[..., :3]
+    person = (frames[10][..., 3] == 255) & (np.abs(shown - shown[2, 2]).max(-1) > 20)
+    assert person.mean() > 0.02
+    assert error[person].mean() < MEAN_ERROR
+    assert (frames[10][..., 3] == 255).all() == (background == "Dark")
+    np.testing.assert_array_equal(frames[10][..., 3] == 255, shown[..., 3] >= 128)
 
 
 def test_a_link_keeps_motion_time_and_view(open_page, page_file):

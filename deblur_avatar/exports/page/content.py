@@ -1,5 +1,6 @@
 """Content of an avatar page: rigs, motions, the filming camera and a few filmed frames."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.animation.placement import stage_rotation
+from deblur_avatar.animation.placement import mean_pelvis, stage_rotation
+from deblur_avatar.animation.retargeting import MIN_BEND, STANDING
+from deblur_avatar.animation.rig_names import _NAMES as RIG_NAMES
+from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.page.packing import (
@@ -77,6 +81,8 @@ def page_payload(shown: Sequence[Shown], pictures: int) -> str:
             "min_alpha": conventions.MIN_ALPHA,
         },
         "scene": _scene(first),
+        # Of skeletons in files that are opened on the page.
+        "rig_rules": {"names": RIG_NAMES, "standing": STANDING, "min_bend": MIN_BEND},
         "avatars": [_avatar_header(avatar) for avatar in shown],
         "frames": [about for about, _ in frames],
     }
@@ -96,6 +102,7 @@ def _avatar_header(shown: Shown) -> dict[str, Any]:
         "joints": rig.joints.flatten().tolist(),
         "canonical_joints": (turned[..., 0] + canonical_from_rest[:, :3, 3]).flatten().tolist(),
         "rest_from_canonical": rig.rest_from_canonical[:, :3].flatten().tolist(),
+        "placement": _placement(shown.run),
         "motions": [{"name": motion.name, "label": motion.label} for motion in shown.motions],
     }
 
@@ -129,10 +136,7 @@ def _scene(shown: Shown) -> dict[str, Any]:
     observations = shown.run.observations
     camera = observations.camera
     points = _places(shown, shown.motions[0])
-    try:
-        world_from_stage = stage_rotation(observations.poses, points.mean(0), camera.viewmat)
-    except ValueError as error:
-        raise ConfigError(f"export: {error}") from None
+    world_from_stage = _world_from_stage(shown.run, observations.poses, points.mean(0))
     on_stage = points @ world_from_stage
     middle = (on_stage.min(0).values + on_stage.max(0).values) / 2
     own = _half_size(on_stage - middle)
@@ -154,6 +158,23 @@ def _scene(shown: Shown) -> dict[str, Any]:
         "exposure": exposure,
         "longest_shutter": max(LONGEST_SHUTTER, BEYOND_EXPOSURE * exposure),
     }
+
+
+def _placement(run: FittedRun) -> dict[str, list[float]]:
+    """Where and facing whom the person does what was not filmed, as `animation.placement.place`."""
+    filmed = dataclasses.replace(run.observations.poses, betas=run.avatar.betas)
+    anchor = mean_pelvis(run.observations.body, filmed)
+    world_from_stage = _world_from_stage(run, filmed, anchor)
+    return {"anchor": anchor.tolist(), "world_from_stage": world_from_stage.flatten().tolist()}
+
+
+def _world_from_stage(
+    run: FittedRun, filmed: Poses, pelvis: Float[Tensor, " 3"]
+) -> Float[Tensor, "3 3"]:
+    try:
+        return stage_rotation(filmed, pelvis, run.observations.camera.viewmat)
+    except ValueError as error:
+        raise ConfigError(f"export: {error}") from None
 
 
 def _half_size(points: Float[Tensor, "points 3"]) -> Float[Tensor, " 2"]:

@@ -19,7 +19,8 @@ from deblur_avatar.exports.shown_motion import MotionExport, shown_motions
 FOLDER = Path(__file__).parent
 SCRIPTS = (
     "payload.js", "kinematics.js", "gaussians.js", "renderer.js", "view.js", "state.js", "stage.js",
-    "clip.js", "page.js",
+    "clip.js", "gif.js", "rotations.js", "bvh.js", "retargeting.js", "npz.js", "opened_motion.js",
+    "page.js",
 )  # fmt: skip
 
 

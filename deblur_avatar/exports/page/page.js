@@ -1,6 +1,10 @@
 // Page: controls by their ids, the loop that draws, and what is saved.
 
 const $ = (id) => document.getElementById(id);
+const RECORDINGS = { // by the button
+  record: { label: "Record clip", what: "Clip", make: recordedClip, suffix: ".webm" },
+  gif: { label: "Record GIF", what: "GIF", make: recordedGif, suffix: ".gif" },
+};
 
 class Page {
   constructor(content) {
@@ -64,7 +68,7 @@ class Page {
   fill() {
     const { avatars, frames, scene } = this.content;
     const option = (value, text) => new Option(text, value);
-    $("motion").append(...avatars[0].motions.map(({ name, label }) => option(name, label)));
+    this.fillMotions();
     $("joint").append(...avatars[0].joint_names.map((name, index) => option(index, name.replaceAll("_", " "))));
     $("shutter").max = Math.ceil(1000 * scene.longest_shutter);
     avatars.forEach((avatar, index) => {
@@ -78,11 +82,16 @@ class Page {
     $("frame-row").hidden = $("match").hidden = frames.length === 0;
   }
 
+  fillMotions() {
+    $("motion").replaceChildren(...this.content.avatars[0].motions.map(({ name, label }) => new Option(label, name)));
+  }
+
   listen() {
     const { content } = this;
     $("play").onclick = () => this.show({ playing: !this.state.playing });
     $("time").oninput = () => this.show({ playing: false, seconds: Number($("time").value) });
     $("motion").onchange = () => this.show({ motion: $("motion").value, seconds: 0 });
+    $("open").onchange = () => $("open").files.length && this.open($("open").files[0]);
     $("speed").onchange = () => this.show({ speed: Number($("speed").value) });
     $("shutter").oninput = () => this.show({ shutter: Number($("shutter").value) / 1000 });
     $("background").onchange = () => this.show({ background: $("background").value });
@@ -95,7 +104,7 @@ class Page {
     $("filming").onclick = () => this.show({ view: { ...this.state.view, filmed: true } });
     $("match").onclick = () => this.match();
     $("save").onclick = () => this.save();
-    $("record").onclick = () => (this.recording ? (this.recording = false) : this.record());
+    for (const id of Object.keys(RECORDINGS)) $(id).onclick = () => this.record(id);
     $("link").onclick = () => this.copyLink();
     $("joint").onchange = () => this.mirror();
     for (const axis of ["x", "y", "z"]) $(`bend-${axis}`).oninput = () => this.bend();
@@ -104,8 +113,32 @@ class Page {
       moveByHand(canvas, content.scene, () => this.state.view, (view) => this.show({ view }));
     }
     document.addEventListener("keydown", (event) => this.pressed(event));
+    for (const kind of ["dragover", "dragleave", "drop"]) document.addEventListener(kind, (event) => this.dropped(event));
     window.addEventListener("hashchange", () => this.show(stateOfLink(location.hash, content)));
     new ResizeObserver(() => this.show({})).observe($("stage"));
+  }
+
+  dropped(event) {
+    event.preventDefault(); // or the browser leaves the page for the file
+    document.body.classList.toggle("dropping", event.type === "dragover");
+    if (event.type === "drop" && event.dataTransfer.files.length) this.open(event.dataTransfer.files[0]);
+  }
+
+  // Shows the motion of a file; what cannot be opened changes nothing.
+  async open(file) {
+    const { avatars, rig_rules: rules } = this.content;
+    try {
+      const motions = await openedMotions(file, avatars, rules);
+      const [{ name, times }] = motions;
+      avatars.forEach((avatar, index) => {
+        avatar.motions = [...avatar.motions.filter((motion) => motion.name !== name), motions[index]];
+      });
+      this.fillMotions();
+      this.show({ motion: name, seconds: 0 });
+      this.say(`Opened ${file.name}: ${times.length} frames, ${durationOf(motions[0]).toFixed(1)} s.`);
+    } catch (error) {
+      this.say(`${file.name} cannot be opened: ${error.message}.`);
+    }
   }
 
   pressed(event) {
@@ -178,8 +211,13 @@ class Page {
     this.say("Picture saved.");
   }
 
-  // Writes the motion once, from its start, as it is shown.
-  async record() {
+  // Writes the motion once, from its start, as it is shown. The same button stops it early.
+  async record(id) {
+    if (this.recording) {
+      this.recording = false;
+      return;
+    }
+    const { what, make, suffix } = RECORDINGS[id];
     const [canvas, before] = [document.createElement("canvas"), { ...this.state }];
     const draw = (seconds) => this.stage.picture({ ...before, seconds }, canvas);
     const report = (share) => {
@@ -188,16 +226,20 @@ class Page {
     };
     this.recording = true;
     this.show({ playing: false });
-    $("record").textContent = "Stop recording";
+    $(id).textContent = "Stop recording";
+    for (const other of Object.keys(RECORDINGS)) $(other).disabled = other !== id;
     try {
-      download(await recordedClip(draw, durationOf(this.motion), before.speed, report), `${this.content.name}.webm`);
-      this.say("Clip saved.");
+      download(await make(draw, durationOf(this.motion), before.speed, report), `${this.content.name}${suffix}`);
+      this.say(`${what} saved.`);
     } catch (error) {
-      this.say(`No clip: ${error.message}`);
+      this.say(`No ${what}: ${error.message}`);
     }
     this.recording = false;
     this.ticked = undefined;
-    $("record").textContent = "Record clip";
+    for (const [name, { label }] of Object.entries(RECORDINGS)) {
+      $(name).disabled = false;
+      $(name).textContent = label;
+    }
     this.show({});
   }
 
@@ -210,6 +252,12 @@ class Page {
     } catch {
       this.say("The address bar holds the link.");
     }
+  }
+
+  // Transforms of one avatar's joints from the canonical pose, [J, 3, 4]; for tests.
+  transforms({ avatar = 0, ...shown }) {
+    const { avatar: whom } = this.stage.panes[avatar];
+    return [...instantsOf(whom, { ...this.state, shutter: 0, ...shown }, 1)[0]];
   }
 
   // Pixels of one avatar as the page draws it, in base64, rows from top to bottom, RGBA; for tests.

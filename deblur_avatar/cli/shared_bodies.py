@@ -1,0 +1,62 @@
+"""Shared bodies: what one folder has baked, every other folder of the same user takes.
+
+Baking takes a minute or two and gives the same bytes each time. So folders that an installed
+package makes have a DVC remote in common, in the user's cache: it holds bodies, and DVC's run cache
+says which code and parameters each was baked with. Nothing else is sent there. Each folder has its
+own copy, so that the cache may be deleted at any time.
+"""
+
+import logging
+from pathlib import Path
+
+from deblur_avatar.cli.running_dvc import push, reproduce
+from deblur_avatar.config.reading import read_yaml
+from deblur_avatar.errors import ConfigError
+from deblur_avatar.rendering.native_build import cache_folder
+
+logger = logging.getLogger(__name__)
+
+REMOTE = "bodies"
+MACHINES_CONFIG = ".dvc/config.local"  # DVC's name for what holds on one machine alone
+
+
+def make_body(folder: Path, name: str) -> int:
+    """Have DVC take a folder's body from the user's cache, or bake it and put it there.
+
+    A cache that cannot be written is said, and done without.
+
+    Args:
+        folder: an independent home, installed.
+        name: of its entry in `bodies`.
+
+    Returns:
+        DVC's exit code.
+    """
+    cache = cache_folder() / REMOTE
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        remote = f"['remote \"{REMOTE}\"']\n    url = {cache.resolve()}\n"
+        (folder / MACHINES_CONFIG).write_text(f"[core]\n    remote = {REMOTE}\n{remote}")
+    except OSError as error:
+        logger.warning("The body is not shared with other folders: %s", error)
+        return 0
+    made = folder / "data/body" / name
+    if made.exists() and _is_shared(folder, name, cache):
+        return 0
+    code = reproduce(["--pull", f"body@{name}"], folder=folder)
+    if code == 0 and not _is_shared(folder, name, cache) and push(f"body@{name}", folder) != 0:
+        logger.warning("The body is not shared with other folders: DVC cannot write %s", cache)
+    return code
+
+
+def _is_shared(folder: Path, name: str, cache: Path) -> bool:
+    """Whether the body that the folder was given last lies in the cache.
+
+    Where that cannot be told it is sent again, which changes nothing.
+    """
+    try:
+        (out,) = read_yaml(folder / "dvc.lock")["stages"][f"body@{name}"]["outs"]
+        digest = out["md5"]
+    except (ConfigError, KeyError, TypeError, ValueError):
+        return False
+    return (cache / "files/md5" / digest[:2] / digest[2:]).is_file()
