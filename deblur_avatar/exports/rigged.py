@@ -40,14 +40,16 @@ def rigged_avatar(run: FittedRun) -> RiggedAvatar:
     """Take the rig out of a fitted run; no gradients.
 
     Raises:
-        ConfigError: if its avatar has networks, which no skeleton poses.
+        ConfigError: if no skeleton poses its avatar, which has networks or says why
+            (`beyond_a_rig`).
     """
     body = run.observations.body
     model = avatar_from_artifact(run.avatar, body, torch.device("cpu"))
     if not isinstance(model, RIGGED):
+        why = getattr(model, "beyond_a_rig", "whose networks no skeleton carries")
         raise ConfigError(
-            f"export: {run.name} is an avatar of kind {model.kind}, whose networks no skeleton "
-            "carries; take a run of a plain avatar (lean), or --format ply, one pose"
+            f"export: {run.name} is an avatar of kind {model.kind}, {why}; "
+            "take a run of a plain avatar (lean), or --format ply, one pose"
         )
     with torch.no_grad():
         own = model.gaussians
