@@ -53,17 +53,19 @@ class ProofReport:
 
     page: str
     tables: str
+    headline: str  # of them those that README.md shows
     summary: dict[str, Any]
     charts: dict[str, bytes]  # files by name
     log: str
 
     def save(self, folder: Path) -> None:
-        """Write `index.html`, `tables.md`, `summary.json`, and the chart with its rows.
+        """Write `index.html`, `tables.md`, `headline.md`, `summary.json`, the chart and its rows.
 
         Raises:
             ArtifactError: if the disk refuses.
         """
-        files = {"index.html": self.page.encode(), "tables.md": self.tables.encode()}
+        texts = {"index.html": self.page, "tables.md": self.tables, "headline.md": self.headline}
+        files = {name: text.encode() for name, text in texts.items()}
         for file, content in (files | self.charts).items():
             run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
@@ -112,9 +114,11 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
     )
     first = [] if overall is None else [grid_table(overall, MAIN, "Report scenes, mean")]
     every = [*first, *(t for of in tables.values() for t in of), *windows, *converged]
+    shown = [*first, *(tables[s][0] for s in whole if plan.scenes[s].kind == "report")]
     return ProofReport(
         page=page,
         tables="\n".join(_markdown(given) for given in every),
+        headline="\n".join(_markdown(given) for given in shown),
         summary=_summary(plan, grids),
         charts={**quality, f"{CHART}.json": _rows(curves)},
         log="\n\n".join(

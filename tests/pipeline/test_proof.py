@@ -42,6 +42,13 @@ def test_a_grid_shows_recovery_below_each_avatar(report):
     assert "| plain | 16.50 \u00b1 0.71 |" in report.tables
 
 
+def test_the_headline_has_report_scenes_alone(report):
+    titles = [line for line in report.headline.splitlines() if line.startswith("### ")]
+    assert len(titles) == 1
+    assert titles[0].startswith("### leaping: PSNR seen")
+    assert report.headline in report.tables
+
+
 def test_windows_stand_side_by_side(report):
     section = report.tables.split("### leaping: windows")[1].split("###")[0]
     assert "17 sub-frames" in section

@@ -3,7 +3,7 @@ import subprocess
 import pytest
 
 from tests.structure.pipeline_files import ROOT
-from tests.structure.readme_table import BEGIN, END, README, TABLE, with_table
+from tests.structure.readme_table import BEGIN, BLOCKS, END, README, with_table
 
 
 def test_the_table_goes_between_its_marks_and_nothing_else_changes():
@@ -19,13 +19,14 @@ def test_missing_or_doubled_marks_are_refused(readme):
         with_table(readme, "| a |")
 
 
-def test_the_readme_shows_the_results_of_the_report():
-    """Those on disk, or those committed: who reruns the pipeline gets times of another machine."""
-    command = ["git", "show", f"HEAD:{TABLE.relative_to(ROOT)}"]
+@pytest.mark.parametrize(("table", "begin", "end"), BLOCKS, ids=["results", "proof"])
+def test_the_readme_shows_what_was_reported(table, begin, end):
+    """What is on disk, or committed: who reruns the pipeline gets times of another machine."""
+    command = ["git", "show", f"HEAD:{table.relative_to(ROOT)}"]
     committed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    tables = [TABLE.read_text()] if TABLE.is_file() else []
+    tables = [table.read_text()] if table.is_file() else []
     tables += [committed.stdout] if committed.returncode == 0 else []
     if not tables:
-        pytest.skip("no results yet: reports/table.md is made by `make repro`")
+        pytest.skip(f"no {table.name} yet: it is made by `make repro` or `make proof`")
     readme = README.read_text()
-    assert readme in [with_table(readme, table) for table in tables], "run `make readme`"
+    assert readme in [with_table(readme, text, begin, end) for text in tables], "run `make readme`"
