@@ -21,7 +21,7 @@ COST_FOLDER = "cost"
 COST_KEYS = frozenset(
     {
         "cost", "seconds", "peak_memory_mb", "training_s", "train_s", "warmup_s", "trajectory_s",
-        "fusion_s", "render_fps",
+        "fusion_s", "render_fps", "processor_s",
     }
 )  # fmt: skip
 
