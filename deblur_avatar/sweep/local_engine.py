@@ -90,7 +90,7 @@ class LocalEngine(Clock):
             try:
                 running.process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
-                running.process.kill()
+                running.process.terminate()  # the guard kills its group
                 running.process.wait()
             running.log.close()
         self._running.clear()

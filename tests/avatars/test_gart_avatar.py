@@ -7,6 +7,7 @@ from deblur_avatar.avatars.gart_params import GartParams, HeldRate
 from deblur_avatar.avatars.gaussians import Gaussians
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.avatars.splats import SplatRendering
 from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
@@ -26,6 +27,11 @@ pytestmark = pytest.mark.portable
 
 CPU = torch.device("cpu")
 FRAMES = 5
+# Regularisers here are of the avatar alone.
+UNSEEN = SplatRendering(
+    torch.zeros(1, 2, 2, 3), torch.zeros(1, 2, 2), 1, None, torch.zeros(1, 1, 3),
+    torch.zeros(1, 1, 6),
+)  # fmt: skip
 
 
 def seeded(seed=0):
@@ -224,7 +230,7 @@ def test_a_neighbourhood_is_six_gaussians_until_they_have_moved(avatar):
 
 def test_every_regulariser_has_a_weight_and_pulls_at_what_it_is_named_after(unruly, recipe):
     step = step_at(recipe, 1)
-    terms = unruly.regularisers(None, step)
+    terms = unruly.regularisers(UNSEEN, step)
     assert terms.keys() == recipe.fitting.weights(step, 0.5).keys()
     pulled = {
         "std_quats": "gaussians.quats", "std_scales": "gaussians.log_scales",
@@ -253,7 +259,7 @@ def test_every_regulariser_has_a_weight_and_pulls_at_what_it_is_named_after(unru
 
 def test_the_size_of_scales_is_that_of_the_longest(avatar, recipe):
     longest = avatar.gaussians.scales.amax(1)
-    term = avatar.regularisers(None, step_at(recipe, 1))["size_scales"]
+    term = avatar.regularisers(UNSEEN, step_at(recipe, 1))["size_scales"]
     torch.testing.assert_close(term(), longest.square().mean())
 
 

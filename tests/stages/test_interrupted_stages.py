@@ -11,7 +11,9 @@ from ruamel.yaml import YAML
 from deblur_avatar.run import STOPPED
 from tests.stages.running import ROOT, fitting_options, words
 
+# What a shell starts in the background ignores the signal, and so would all that it starts.
 SAVING_ALWAYS = (
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     "import runpy, sys; from deblur_avatar.training import resume\n"
     "resume.SAVE_EVERY_S = 0.0; sys.argv = sys.argv[1:]\n"
     "runpy.run_path(sys.argv[0], run_name='__main__')\n"
@@ -45,8 +47,12 @@ def stopped_after(folder, iteration: int) -> tuple[int, str]:
 
 
 def newest(folder) -> int:
-    saves = (folder / ".warmup.unfinished").glob("after_*")
-    return max((int(save.name.removeprefix("after_")) for save in saves), default=0)
+    """The iteration of the newest save; 0 while there is none, or one takes another's place."""
+    try:
+        saves = [path.name for path in (folder / ".warmup.unfinished").iterdir()]
+    except FileNotFoundError:
+        return 0
+    return max((int(name.removeprefix("after_")) for name in saves if "after_" in name), default=0)
 
 
 def test_a_stage_that_is_interrupted_says_so_and_goes_on(folder):

@@ -81,9 +81,9 @@ def test_a_killed_stage_is_begun_again_and_a_failed_one_leaves_the_rest(project,
     assert results(project).keys() == serial.keys()
 
 
-def waiting_sweep(project: Path) -> "subprocess.Popen[str]":
+def waiting_sweep(project: Path, word: str = "wait") -> "subprocess.Popen[str]":
     """A sweep one stage of which waits, once that one has begun."""
-    tell(project, "fit-root_three", "wait")
+    tell(project, "fit-root_three", word)
     process = subprocess.Popen(
         [sys.executable, *SWEEP[1:], "dvc.yaml"], cwd=project, text=True,
         env=os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"},
@@ -121,6 +121,14 @@ def test_a_second_sweep_is_refused_and_a_stopped_one_goes_on(project):
     assert done.returncode == 0, done.stderr
     assert begun(project, "root_three")[-2:] == ["fit", "score"]
     assert "up to date" in called(project, "dvc", "repro", "--dry", "-s", "score@root_three")
+
+
+def test_a_stage_that_does_not_hear_the_keyboard_is_killed(project):
+    process = waiting_sweep(project, "wait deaf")
+    os.kill(process.pid, signal.SIGINT)
+    process.communicate()
+    assert process.returncode == 130
+    assert gone(process_of(project, "root_three"))
 
 
 def test_nothing_is_left_running_when_the_sweep_is_killed(project):
