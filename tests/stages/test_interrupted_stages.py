@@ -52,7 +52,9 @@ def newest(folder) -> int:
         saves = [path.name for path in (folder / ".warmup.unfinished").iterdir()]
     except FileNotFoundError:
         return 0
-    return max((int(name.removeprefix("after_")) for name in saves if "after_" in name), default=0)
+    return max(
+        (int(name.removeprefix("after_")) for name in saves if name.startswith("after_")), default=0
+    )
 
 
 def test_a_stage_that_is_interrupted_says_so_and_goes_on(folder):
