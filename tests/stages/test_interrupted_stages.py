@@ -39,10 +39,13 @@ def stopped_after(folder, iteration: int) -> tuple[int, str]:
         [sys.executable, "-c", SAVING_ALWAYS, "stages/warmup.py", *options],
         cwd=ROOT, env=os.environ | quick, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    while newest(folder) < iteration:
-        assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate()
+    try:
+        while newest(folder) < iteration:
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate()
+    finally:
+        process.kill()  # a fit of minutes, where something else went wrong
     return process.returncode, said
 
 
