@@ -39,8 +39,6 @@ check: code
 
 # Every avatar with every motion on scenes that no setting was chosen on: experiments/proof/reports/index.html. Says
 # first what it will take; goes on where it was stopped. PARTS="grid windows" makes these alone, PLAN=1 says it and stops.
-proof: export OMP_NUM_THREADS := 1
-proof: export DEBLUR_AVATAR_THREADS := 1
 proof: code
 	$(BIN)/deblur-avatar proof $(if $(PARTS),--parts $(PARTS)) $(if $(PLAN),--plan)
 

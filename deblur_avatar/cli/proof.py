@@ -6,7 +6,6 @@ Says first what it will take, then works off what is not there yet, two stages a
 
 import argparse
 import logging
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from deblur_avatar.config.proof import (
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.parameters import SceneParams
-from deblur_avatar.sweep.local_engine import LocalEngine, memory_here_mb
+from deblur_avatar.sweep.local_engine import this_machine
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +46,7 @@ def run(asked: argparse.Namespace) -> int:
     """
     check_checkout(Path())
     if asked.at_once < 1:
-        raise ConfigError(f"--at-once {asked.at_once}: wanted 1 or more scenes at a time")
+        raise ConfigError(f"--at-once {asked.at_once}: wanted 1 or more stages at a time")
     plan = load_plan(PARAMS)
     parts = asked.parts or list(plan.run)
     missing = _missing_footage(plan, parts)
@@ -61,10 +60,7 @@ def run(asked: argparse.Namespace) -> int:
         return 0
     asked_for = [target for scene in scenes for target in targets(plan, scene, cells)]
     cores, root = asked.at_once, Path()
-    code = sweep(
-        root, asked_for, cores,
-        engine=lambda: LocalEngine(root, cores, memory_here_mb(), os.environ),
-    )  # fmt: skip
+    code = sweep(root, asked_for, cores, engine=lambda: this_machine(root, cores))
     # The page alone: of parts that were not asked for it shows what there is.
     return code or reproduce(["--single-item", str(FOLDER / "dvc.yaml")], refreshed=True)
 

@@ -26,7 +26,7 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import refresh
 from deblur_avatar.sweep.costs import Costs
 from deblur_avatar.sweep.grid import grid, tasks_of
-from deblur_avatar.sweep.local_engine import LocalEngine, cores_here, memory_here_mb
+from deblur_avatar.sweep.local_engine import cores_here, this_machine
 from deblur_avatar.sweep.scheduler import Ended, Engine, Progress, work_off
 from deblur_avatar.sweep.simulated_engine import forecasts, table
 from deblur_avatar.sweep.stages import Pipelines, changed_since_commit, pipelines_below
@@ -135,7 +135,7 @@ def targets_of(root: Path, what: list[str]) -> list[str]:
     """DVC's targets as they are, of folders all pipelines in them."""
     targets: list[str] = []
     for word in what:
-        targets += pipelines_below(root, [word]) if (root / word).is_dir() else [word]
+        targets += pipelines_below(root, word) if (root / word).is_dir() else [word]
     return targets
 
 
@@ -154,7 +154,7 @@ def _check(asked: argparse.Namespace) -> None:
 
 def _engine(asked: argparse.Namespace, root: Path, cores: int) -> Engine:
     if asked.engine == "local":
-        return LocalEngine(root, cores, memory_here_mb(), os.environ)
+        return this_machine(root, cores)
     try:
         from deblur_avatar.sweep.ray_engine import RayEngine
     except ModuleNotFoundError:

@@ -85,22 +85,49 @@ def fingerprints(root: Path, folder: Path) -> dict[str, Any]:
         SyntaxError: if a module is not Python.
         ConfigError: if a parameter file that is there cannot be read.
     """
+    return _of_folder(hashes(root), folder)
+
+
+@dataclass(frozen=True)
+class Hashes:
+    """Fingerprints of all scripts by name, and of all kinds by section and name."""
+
+    scripts: dict[str, str]
+    kinds: dict[str, dict[str, str]]
+
+
+def hashes(root: Path) -> Hashes:
+    """The fingerprints of all code below a root, which every folder's `code.json` chooses from.
+
+    Raises:
+        SyntaxError: if a module is not Python.
+    """
     known: dict[Path, list[Path]] = {}
-    of_scripts = {
-        script.stem: fingerprint(import_closure(script, root, known), root)
-        for script in scripts(root)
-    }
-    of_entries = {}
-    for section, chosen in REGISTERED.items():
-        of_kinds = {
-            name: _joint(place, fingerprint(import_closure(module, root, known), root))
-            for name, (place, module) in registered(root, chosen.registry).items()
-        }
-        of_entries[section] = {
-            name: of_kinds.get(kind, NO_SUCH_KIND)
+
+    def of(path: Path) -> str:
+        return fingerprint(import_closure(path, root, known), root)
+
+    return Hashes(
+        scripts={script.stem: of(script) for script in scripts(root)},
+        kinds={
+            section: {
+                name: _joint(place, of(module))
+                for name, (place, module) in registered(root, chosen.registry).items()
+            }
+            for section, chosen in REGISTERED.items()
+        },
+    )
+
+
+def _of_folder(code: Hashes, folder: Path) -> dict[str, Any]:
+    of_entries = {
+        section: {
+            name: kinds.get(kind, NO_SUCH_KIND)
             for name, kind in kinds_asked_for(folder, section).items()
         }
-    return {**of_scripts, **of_entries}
+        for section, kinds in code.kinds.items()
+    }
+    return {**code.scripts, **of_entries}
 
 
 def registered(root: Path, registry: str) -> dict[str, tuple[str, Path]]:
@@ -150,11 +177,11 @@ def refresh(root: Path) -> list[Path]:
     Returns:
         Files whose content has changed.
     """
-    pipeline = (root / PIPELINE).read_bytes()
+    pipeline, code = (root / PIPELINE).read_bytes(), hashes(root)
     wanted: dict[Path, bytes] = {}
     for folder in pipelines(root):
-        hashes = f"{json.dumps(fingerprints(root, folder), indent=1)}\n".encode()
-        wanted |= {folder / PIPELINE: pipeline, folder / FINGERPRINTS: hashes}
+        said = f"{json.dumps(_of_folder(code, folder), indent=1)}\n".encode()
+        wanted |= {folder / PIPELINE: pipeline, folder / FINGERPRINTS: said}
     if (root / PROOF).is_dir():
         wanted |= files_of(root / PROOF)
     changed = []

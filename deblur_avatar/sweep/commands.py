@@ -11,10 +11,10 @@ from deblur_avatar.sweep.scheduler import End
 from deblur_avatar.sweep.tasks import Task
 
 LAST_BYTES = 4000  # of what a task wrote
-# What DVC says where a stage's process was killed, or another command holds what it needs.
-GONE = re.compile(r"exited with -\d+|is busy|Unable to acquire lock")
-
-
+# What DVC says where another command holds what a stage needs, and how a stage's process ended.
+HELD = re.compile(r"is busy|Unable to acquire lock")
+EXITED = re.compile(r"exited with (-?\d+)")
+KILLED = range(129, 193)  # a shell's codes for a process that a signal killed: 128 and its number
 REPRO = (sys.executable, "-m", "dvc", "--wait-for-lock", "repro", "--single-item")
 
 
@@ -42,7 +42,9 @@ def end_of(code: int, said: str) -> End:
     """What an exit code and last words mean."""
     if code == 0:
         return "done"
-    return "lost" if code < 0 or GONE.search(said) else "failed"
+    codes = [code, *map(int, EXITED.findall(said))]
+    killed = any(one < 0 or one in KILLED for one in codes)
+    return "lost" if killed or HELD.search(said) else "failed"
 
 
 def last_words(log: IO[bytes]) -> str:

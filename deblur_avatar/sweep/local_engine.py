@@ -96,11 +96,17 @@ class LocalEngine(Clock):
         self._running.clear()
 
 
+def this_machine(folder: Path, cores: int) -> LocalEngine:
+    """This machine, with all of its memory and this process's environment.
+
+    Args:
+        folder: where the repository is.
+        cores: how many tasks of one core may run at a time.
+    """
+    memory_mb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
+    return LocalEngine(folder, cores, memory_mb, os.environ)
+
+
 def cores_here() -> int:
     """How many cores this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-
-
-def memory_here_mb() -> float:
-    """The machine's memory, megabytes."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6

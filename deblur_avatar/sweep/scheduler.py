@@ -69,7 +69,6 @@ class Progress:
     """
 
     tasks: Tasks
-    begun: float
     running: dict[str, float] = field(default_factory=dict)  # when each began
     done: set[str] = field(default_factory=set)
     failed: dict[str, str] = field(default_factory=dict)
@@ -103,7 +102,7 @@ def work_off(tasks: Tasks, engine: Engine, watch: Watch, retries: int = 2) -> Pr
         retries: how often a lost task is begun again.
     """
     order = remaining_path(tasks)
-    progress = Progress(tasks, engine.seconds())
+    progress = Progress(tasks)
     try:
         while progress.waiting or progress.running:
             for name in sorted(_ready(progress), key=lambda ready: -order[ready]):

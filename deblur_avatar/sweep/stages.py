@@ -2,7 +2,7 @@
 
 import os
 import subprocess
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -112,19 +112,16 @@ def _files(stage: PipelineStage) -> Iterator[Path]:
     yield from (Path(out.fs_path) for out in stage.outs if out.fs_path.endswith(".json"))
 
 
-def pipelines_below(root: Path, folders: Iterable[str]) -> list[str]:
-    """All pipelines in folders of the repository; the root's stages are in none.
+def pipelines_below(root: Path, folder: str) -> list[str]:
+    """All pipelines in a folder of the repository and below it.
 
     Raises:
-        ConfigError: if a folder has none.
+        ConfigError: if there is none.
     """
-    found: list[str] = []
-    for folder in folders:
-        here = sorted((root / folder).rglob("dvc.yaml"))
-        if not here:
-            raise ConfigError(f"no dvc.yaml in {folder} or below it: what is to be swept?")
-        found += [path.relative_to(root).as_posix() for path in here]
-    return found
+    found = sorted((root / folder).rglob("dvc.yaml"))
+    if not found:
+        raise ConfigError(f"no dvc.yaml in {folder} or below it: what is to be swept?")
+    return [path.relative_to(root).as_posix() for path in found]
 
 
 def changed_since_commit(root: Path) -> bool:

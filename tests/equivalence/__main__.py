@@ -15,7 +15,8 @@ from pathlib import Path, PurePosixPath
 
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import refresh
-from tests.equivalence.cases import footage_variables, stage_of
+from deblur_avatar.sweep.costs import stage_of
+from tests.equivalence.cases import footage_variables
 from tests.equivalence.coverage import NOT_IN_SMALL, kinds
 from tests.equivalence.footage import write_footage
 from tests.equivalence.locks import Relocked, Relocking

@@ -24,6 +24,7 @@ from dvc.stage import Stage
 from dvc.utils.serialize import load_path
 
 from deblur_avatar.pipeline.code import FINGERPRINTS, PIPELINE
+from deblur_avatar.sweep.costs import stage_of
 
 MISSING: Final = object()
 AREAS = ("experiments/cases", "stability/cases")
@@ -49,11 +50,6 @@ class Job:
     def stage(self) -> str:
         """The stage, without folder and item."""
         return stage_of(self.name)
-
-
-def stage_of(name: str) -> str:
-    """`fusion` of `experiments/cases:fusion@studio-lean`."""
-    return name.rpartition(":")[2].partition("@")[0]
 
 
 def pipelines(tree: Path, areas: Sequence[str] = AREAS) -> list[str]:

@@ -13,7 +13,8 @@ from typing import Any
 import torch
 from safetensors.torch import load
 
-from tests.equivalence.cases import Job, stage_of
+from deblur_avatar.sweep.costs import stage_of
+from tests.equivalence.cases import Job
 from tests.equivalence.names import Renaming
 
 # What a clock or the machine's memory says: files, and keys of older metrics.

@@ -16,7 +16,8 @@ from dvc.stage.serialize import to_single_stage_lockfile
 from dvc.utils.serialize import dump_yaml
 from dvc_data.hashfile.hash import DEFAULT_ALGORITHM
 
-from tests.equivalence.cases import parameter_values, parameters, stage_of, words
+from deblur_avatar.sweep.costs import stage_of
+from tests.equivalence.cases import parameter_values, parameters, words
 from tests.equivalence.comparison import compared_values, leaves
 from tests.equivalence.coverage import Kind
 from tests.equivalence.names import Renaming

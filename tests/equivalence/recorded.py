@@ -14,7 +14,8 @@ from dvc.repo import Repo
 from dvc.stage import Stage
 
 from deblur_avatar.pipeline.code import PIPELINE
-from tests.equivalence.cases import AREAS, expanded, parameter_values, stage_of
+from deblur_avatar.sweep.costs import stage_of
+from tests.equivalence.cases import AREAS, expanded, parameter_values
 from tests.equivalence.names import Renaming
 
 PLACES = ("experiments", "stability")  # of pipelines beside the root's

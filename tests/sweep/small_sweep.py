@@ -1,12 +1,16 @@
 """A repository whose stages copy files slowly, for tests of sweeps."""
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 from tests.structure import small_repository
 from tests.structure.small_repository import begin, commit
 
 ROOT = Path(__file__).parents[2]
+SWEEP = (sys.executable, "-m", "deblur_avatar.cli.main", "sweep")
 STAGES = """\
 stages:
   code:
@@ -144,3 +148,15 @@ def results(project: Path) -> dict[str, bytes]:
 def called(project: Path, *command: str) -> str:
     """What a command says there, by this repository's code; it must end well."""
     return small_repository.called(project, *command, code=ROOT)
+
+
+def swept(project: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    """A sweep by this repository's code, which may end badly."""
+    return subprocess.run(
+        [*SWEEP, *words], cwd=project, env=variables(), capture_output=True, text=True, check=False
+    )
+
+
+def variables() -> dict[str, str]:
+    """Of a command that runs this repository's code."""
+    return os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"}

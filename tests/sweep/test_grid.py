@@ -1,9 +1,6 @@
 """A grid of parameters becomes experiments that DVC knows."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +8,7 @@ import pytest
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.sweep.grid import grid, name_of, tasks_of
 from tests.structure.small_repository import commit
-from tests.sweep.small_sweep import ROOT, begin_project, called
+from tests.sweep.small_sweep import begin_project, called, swept
 
 
 def test_every_combination_is_there_once():
@@ -42,14 +39,6 @@ def project(tmp_path) -> Path:
     root.mkdir()
     begin_project(root)
     return root
-
-
-def swept(project: Path, *words: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-m", "deblur_avatar.cli.main", "sweep", *words], cwd=project,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
 
 
 def test_experiments_are_what_dvc_shows(project):

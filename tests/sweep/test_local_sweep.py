@@ -12,25 +12,18 @@ import pytest
 
 from deblur_avatar.sweep.costs import REMEMBERED, Costs
 from tests.sweep.small_sweep import (
-    ROOT,
-    begin_project,
+    SWEEP,
     begun,
     called,
     copied,
     process_of,
     results,
+    swept,
     tell,
+    variables,
 )
 
-SWEEP = ("python", "-m", "deblur_avatar.cli.main", "sweep")
 MORE = "experiments/more"
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    root: Path = tmp_path_factory.mktemp("made")
-    begin_project(root)
-    return root
 
 
 @pytest.fixture
@@ -46,15 +39,6 @@ def serial(made, tmp_path_factory) -> dict[str, bytes]:
     return results(root)
 
 
-def swept(project: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """A sweep, which may end badly."""
-    variables = os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"}
-    return subprocess.run(
-        [sys.executable, *SWEEP[1:], *words], cwd=project, env=variables, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
-
-
 def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, serial):
     done = swept(project, "dvc.yaml", MORE, "--at-once", "3")
     assert done.returncode == 0, done.stderr
@@ -65,7 +49,13 @@ def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, ser
     assert "up to date" in called(project, "dvc", "repro", "--dry", "-s", "score@root_one")
 
 
-def test_a_killed_stage_is_begun_again_and_a_failed_one_leaves_the_rest(project, serial):
+@pytest.mark.parametrize("shell", ["/bin/sh", "/bin/bash"])
+def test_a_killed_stage_is_begun_again_and_a_failed_one_leaves_the_rest(
+    project, serial, shell, monkeypatch
+):
+    if not Path(shell).exists():
+        pytest.skip(f"no {shell}")
+    monkeypatch.setenv("SHELL", shell)  # DVC's: some replace themselves by the stage's process
     tell(project, "fit-root_one", "die once")
     tell(project, "fit-root_two", "fail")
     done = swept(project, "dvc.yaml", "--at-once", "2")
@@ -85,8 +75,8 @@ def waiting_sweep(project: Path, word: str = "wait") -> "subprocess.Popen[str]":
     """A sweep one stage of which waits, once that one has begun."""
     tell(project, "fit-root_three", word)
     process = subprocess.Popen(
-        [sys.executable, *SWEEP[1:], "dvc.yaml"], cwd=project, text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "DVC_NO_ANALYTICS": "1"},
+        [*SWEEP, "dvc.yaml"], cwd=project, text=True,
+        env=variables(),
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
@@ -188,7 +178,7 @@ def test_without_ray_the_answer_is_what_to_install(project):
     hidden = "import sys; sys.modules['ray'] = None; from deblur_avatar.cli.main import main; "
     done = subprocess.run(
         [sys.executable, "-c", f"{hidden}sys.exit(main(['sweep', 'dvc.yaml', '--engine', 'ray']))"],
-        cwd=project, env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        cwd=project, env=variables(), capture_output=True, text=True,
         check=False,
     )  # fmt: skip
     assert done.returncode == 1

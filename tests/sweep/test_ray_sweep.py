@@ -4,25 +4,17 @@ Both are raylets of this machine, which share its folder.
 """
 
 import os
-from pathlib import Path
 
 import pytest
 
 from deblur_avatar.sweep.costs import Costs
 from deblur_avatar.sweep.scheduler import work_off
 from deblur_avatar.sweep.stages import Pipelines
-from tests.sweep.small_sweep import ROOT, begin_project, begun, called, copied, results, tell
+from tests.sweep.small_sweep import ROOT, begun, called, copied, results, tell
 
 pytest.importorskip("ray", reason="Ray is not installed: pip install 'deblur-avatar[cluster]'")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 MACHINE = {"num_cpus": 1, "include_dashboard": False}
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    root: Path = tmp_path_factory.mktemp("made")
-    begin_project(root)
-    return root
 
 
 def test_a_machine_that_goes_away_costs_its_task_alone(made, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from deblur_avatar.sweep.commands import end_of
 from deblur_avatar.sweep.scheduler import Ended, work_off
 from deblur_avatar.sweep.simulated_engine import forecasts, table
 from deblur_avatar.sweep.tasks import Task, critical_path, remaining_path
@@ -142,3 +143,21 @@ def test_the_table_says_what_was_forecast():
     lines = table(NET, forecasts(NET, [1, 2], start=0.0))
     assert lines[2] == "| 1 | 0.01 | 1.0 | 100% |"
     assert lines[-1] == "6 tasks; the longest chain of them takes 0.00 hours."
+
+
+@pytest.mark.parametrize(
+    ("code", "said", "end"),
+    [
+        (0, "", "done"),
+        (255, "ERROR: failed to reproduce 'fit': failed to run: fit, exited with 1", "failed"),
+        (255, "ERROR: failed to reproduce 'fit': failed to run: fit, exited with 128", "failed"),
+        (255, "ERROR: failed to reproduce 'fit': failed to run: fit, exited with -9", "lost"),
+        (255, "ERROR: failed to reproduce 'fit': failed to run: fit, exited with 137", "lost"),
+        (255, "ERROR: Unable to acquire lock", "lost"),
+        (-9, "", "lost"),
+        (137, "", "lost"),
+        (2, "usage", "failed"),
+    ],
+)
+def test_a_process_that_was_killed_is_lost_whatever_shell_began_it(code, said, end):
+    assert end_of(code, said) == end
