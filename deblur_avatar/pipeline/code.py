@@ -1,11 +1,8 @@
 """Code fingerprints: hashes over the syntax of all that a stage's script, or a kind, imports.
 
 DVC compares files byte by byte, so that a pipeline whose stages depend on their source files
-reruns for a comment. Here a stage depends on one number instead, that only code can move:
-
-- Python by its syntax tree, without docstrings, positions and what only a type checker runs;
-- C++ by its tokens, without comments and white space;
-- everything else (a page's template, a chart's specification) by its bytes.
+reruns for a comment. Here a stage depends on one number instead, that only code can move: what
+config/syntax.py says of a file.
 
 The walk over imports is static: every `import` counts, those inside functions too, and so does
 every package's `__init__.py` on the way, and a module whose full name stands in a string. A file
@@ -32,8 +29,8 @@ from typing import Any
 
 from deblur_avatar.config.proof import files_of
 from deblur_avatar.config.reading import read_yaml
+from deblur_avatar.config.syntax import CPP, PACKAGES, content_hash, places_of_kinds, stripped
 
-PACKAGES = ("deblur_avatar", "benchmarks")
 SCRIPTS = ("stages", "benchmarks/stress/stages")
 AREAS = ("experiments", "avatars")
 PROOF = "experiments/proof"
@@ -55,22 +52,7 @@ REGISTERED = {
     "methods": Registered("deblur_avatar/motion/kinds.py", ("trajectory", "motion", "kind")),
 }
 NO_SUCH_KIND = "no such kind"  # the stage that reads the entry says what there is
-PLACE = re.compile(rf"(?P<module>({'|'.join(PACKAGES)})(\.\w+)+):\w+")
 FILE_NAME = re.compile(r"\w[\w-]*(\.\w+)+")
-BLOCKS = ("body", "orelse", "finalbody")  # statements of a node
-CPP = (".cpp", ".cc", ".cu", ".cuh", ".h", ".hpp")
-# In this order: what looks like a comment within a string is none.
-CPP_TOKENS = re.compile(
-    r"""(?P<raw>R"(?P<fence>[^()\\\s]{0,16})\(.*?\)(?P=fence)")
-    | (?P<string>"(?:\\.|[^"\\\n])*")
-    | (?P<comment>//[^\n]*|/\*.*?\*/)
-    | (?P<number>\.?\d(?:[eEpP][+-]|'?[\w.])*)
-    | (?P<character>'(?:\\.|[^'\\\n])*')
-    | (?P<word>\w+)
-    | (?P<mark><<=|>>=|<=>|\.\.\.|->\*|::|->|\+\+|--|<<|>>|&&|\|\||\#\#|[-+*/%&|^<>=!]=|[^\s\w])
-    | (?P<space>\s+)""",
-    re.DOTALL | re.VERBOSE,
-)
 
 
 def fingerprints(root: Path, folder: Path) -> dict[str, Any]:
@@ -135,23 +117,10 @@ def registered(root: Path, registry: str) -> dict[str, tuple[str, Path]]:
     paths = [start / registry for start in _starts(root) if (start / registry).is_file()]
     found = {}
     for node in ast.walk(ast.parse(paths[0].read_bytes())) if paths else ():
-        for name, place in _places(node):
+        for name, place in places_of_kinds(node):
             *_, module = _module_files(place.partition(":")[0], root)
             found[name] = (place, module)
     return found
-
-
-def _places(node: ast.AST) -> list[tuple[str, str]]:
-    """The names and places of a dictionary of kinds."""
-    if not isinstance(node, ast.Dict):
-        return []
-    return [
-        (str(name.value), str(place.value))
-        for name, place in zip(node.keys, node.values, strict=True)
-        if isinstance(name, ast.Constant)
-        and isinstance(place, ast.Constant)
-        and PLACE.fullmatch(str(place.value))
-    ]
 
 
 def kinds_asked_for(folder: Path, section: str) -> dict[str, str]:
@@ -211,7 +180,9 @@ def fingerprint(files: set[Path], root: Path) -> str:
     digest = hashlib.sha256()
     named = {_name(path, root): path for path in files}
     for name, path in sorted(named.items()):
-        digest.update(f"{name.as_posix()}\0{_of_text(path.suffix, path.read_bytes())}\n".encode())
+        digest.update(
+            f"{name.as_posix()}\0{content_hash(path.suffix, path.read_bytes())}\n".encode()
+        )
     return digest.hexdigest()[:32]
 
 
@@ -274,7 +245,7 @@ def _references(source: bytes, package: tuple[str, ...]) -> tuple[frozenset[str]
     """The full names of what a module may import, and strings that could be names of files."""
     imported: set[str] = set()
     strings: set[str] = set()
-    for node in ast.walk(_stripped(ast.parse(source))):
+    for node in ast.walk(stripped(ast.parse(source))):
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -288,45 +259,6 @@ def _references(source: bytes, package: tuple[str, ...]) -> tuple[frozenset[str]
     return frozenset(imported), frozenset(files)
 
 
-def _stripped(tree: ast.AST) -> ast.AST:
-    """The tree without what does nothing: docstrings, other strings that stand by themselves, and
-    what is under `if TYPE_CHECKING:`; without the kinds of a registry, whose hashes are their own;
-    and with pieces of an f-string that follow each other as one.
-    """
-    for node in ast.walk(tree):
-        for name in BLOCKS:
-            block = getattr(node, name, None)
-            if isinstance(block, list):
-                setattr(node, name, [line for line in block if not _is_prose(line)])
-        if isinstance(node, ast.If) and _last_name(node.test) == "TYPE_CHECKING":
-            node.body = []
-        if isinstance(node, ast.Dict) and _places(node):
-            node.keys, node.values = [], []
-        if isinstance(node, ast.JoinedStr):
-            node.values = _joined(node.values)
-    return tree
-
-
-def _is_prose(statement: ast.AST) -> bool:
-    value = statement.value if isinstance(statement, ast.Expr) else None
-    return isinstance(value, ast.Constant) and isinstance(value.value, str)
-
-
-def _last_name(node: ast.expr) -> str | None:
-    return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", None)
-
-
-def _joined(values: list[ast.expr]) -> list[ast.expr]:
-    merged: list[ast.expr] = []
-    for value in values:
-        last = merged[-1] if merged else None
-        if isinstance(value, ast.Constant) and isinstance(last, ast.Constant):
-            merged[-1] = ast.Constant(str(last.value) + str(value.value))
-        elif not (isinstance(value, ast.Constant) and value.value == ""):
-            merged.append(value)
-    return merged
-
-
 def _module_files(name: str, root: Path) -> Iterator[Path]:
     """The module's file and every `__init__.py` above it; nothing for names from elsewhere."""
     parts = name.split(".")
@@ -338,64 +270,6 @@ def _module_files(name: str, root: Path) -> Iterator[Path]:
             yield here / "__init__.py"
         elif here.with_suffix(".py").is_file():
             yield here.with_suffix(".py")
-
-
-@lru_cache(maxsize=1024)
-def _of_text(suffix: str, content: bytes) -> str:
-    """The hash of one file's content, as its kind is compared."""
-    if suffix == ".py":
-        content = _canonical(_stripped(ast.parse(content))).encode()
-    elif suffix in CPP:
-        content = "\0".join(cpp_tokens(content.decode())).encode()
-    return hashlib.sha256(content).hexdigest()
-
-
-def _canonical(tree: ast.AST) -> str:
-    """A syntax tree as text, the same for every Python that knows the syntax.
-
-    `ast.dump` is not: versions add fields, and 3.13 leaves empty ones out. Here fields that are
-    None or empty are left out always; how many follow is said, so that none can pass for another.
-    """
-    said: list[str] = []
-    waiting: list[tuple[str, object]] = [("", tree)]
-    while waiting:
-        name, value = waiting.pop()
-        if isinstance(value, ast.AST):
-            fields = [
-                (field, content)
-                for field, content in ast.iter_fields(value)
-                if field != "kind" and content is not None and content != []
-            ]
-            said.append(f"{name} {type(value).__name__} {len(fields)}")
-            waiting += reversed(fields)
-        elif isinstance(value, list):
-            said.append(f"{name} of {len(value)}")
-            waiting += [("", item) for item in reversed(value)]
-        else:
-            said.append(f"{name} {type(value).__name__} {value!a}")
-    return "\n".join(said)
-
-
-def cpp_tokens(text: str) -> list[str]:
-    """What a C++ compiler reads: no comments, no white space but what a directive needs.
-
-    Where a directive ends is a token, and so is the space by which `#define f (x)` differs from
-    `#define f(x)`.
-    """
-    tokens: list[str] = []
-    line: list[str] = []
-    spaced = False
-    for match in CPP_TOKENS.finditer(re.sub(r"\\\r?\n", "", text) + "\n"):
-        if match.lastgroup in ("space", "comment"):
-            spaced = True
-            if "\n" in match[0] and match.lastgroup == "space":
-                tokens += [*line, "\n"] if line[:1] == ["#"] else line
-                line = []
-        else:
-            named = line[1:2] == ["define"] and len(line) == 3
-            line += [" ", match[0]] if named and spaced and match[0] == "(" else [match[0]]
-            spaced = False
-    return tokens
 
 
 def main() -> None:

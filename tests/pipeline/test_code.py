@@ -10,7 +10,6 @@ import pytest
 
 from deblur_avatar.pipeline.code import (
     NO_SUCH_KIND,
-    cpp_tokens,
     fingerprints,
     import_closure,
     refresh,
@@ -119,14 +118,6 @@ def test_prose_and_layout_move_no_fingerprint(project, file, old, new):
 )
 def test_what_code_does_moves_the_stages_that_run_it(project, file, old, new):
     assert moved(project, file, old, new) == {"cut"}
-
-
-def test_cpp_comments_and_strings_are_told_apart():
-    text = 'auto a = "/* no */" + R"x(// no)")x" + \'"\' + 1\'000; // yes "\nb = c ++ + d;'
-    assert cpp_tokens(text) == [
-        "auto", "a", "=", '"/* no */"', "+", 'R"x(// no)")x"', "+", "'\"'", "+", "1'000", ";",
-        "b", "=", "c", "++", "+", "d", ";",
-    ]  # fmt: skip
 
 
 def test_the_same_code_has_the_same_fingerprint_whatever_python_reads_it(project):
