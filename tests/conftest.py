@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,14 @@ from tests.filmed_scene import Scene, film
 SIZE = 24  # pixels
 
 PLAIN = PlainParams(kind="plain")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_processes() -> None:
+    """Shapes are checked where tests run, not in processes that they start: each would take 2.6 s
+    more to import what it needs.
+    """
+    os.environ.pop("DEBLUR_AVATAR_CHECK_SHAPES", None)
 
 
 @pytest.fixture(scope="session")

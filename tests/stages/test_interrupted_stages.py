@@ -34,7 +34,7 @@ def folder(tmp_path, observations, tiny_parameters):
 def stopped_after(folder, iteration: int) -> tuple[int, str]:
     """Exit code and last words of a stage that is interrupted once it saved such an iteration."""
     options = words(fitting_options("warmup", folder, folder))
-    quick = {"OMP_NUM_THREADS": "1", "DEBLUR_AVATAR_CHECK_SHAPES": "0"}
+    quick = {"OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [sys.executable, "-c", SAVING_ALWAYS, "stages/warmup.py", *options],
         cwd=ROOT, env=os.environ | quick, stderr=subprocess.PIPE, text=True,

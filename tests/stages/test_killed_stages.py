@@ -17,7 +17,7 @@ KILLS = {"warmup": 17, "trajectory": 17, "fusion": 16}
 def killing(name, whole, stopped, kills, **options):
     """Exit status of a run left alone and of the last of the killed ones; kills; saves found."""
     words = [name, str(whole), str(stopped), str(kills), "5"]
-    quick = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "DEBLUR_AVATAR_CHECK_SHAPES": "0"}
+    quick = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, "tests/stages/killing.py", *words],
         cwd=ROOT, capture_output=True, text=True, check=True, env=os.environ | quick, **options,

@@ -79,10 +79,8 @@ if word == 'fail':
 if word == 'die once':
     told.unlink()
     os.kill(os.getpid(), signal.SIGKILL)
-if word == 'wait deaf':
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 for _ in range(600):
-    if not (told.exists() and told.read_text().startswith('wait')):
+    if not (told.exists() and told.read_text() == 'wait'):
         break
     time.sleep(0.1)
 text = seen.read_text() if seen.is_file() else (seen / 'text').read_text()
@@ -116,7 +114,7 @@ def copied(project: Path, to: Path) -> Path:
 
 
 def tell(project: Path, stage: str, word: str) -> None:
-    """What a stage shall do: `fail`, `die once`, `wait`, or `wait deaf` to Ctrl-C."""
+    """What a stage shall do: `fail`, `die once` or `wait`."""
     (project / "told").mkdir(exist_ok=True)
     (project / "told" / stage).write_text(word)
 
