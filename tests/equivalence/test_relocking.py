@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from deblur_avatar.pipeline.code import import_closure
 from tests.equivalence.__main__ import relock, table
 from tests.equivalence.names import Renaming
 from tests.equivalence.proof import Question, RefusedError, prove, trees
@@ -13,11 +14,7 @@ from tests.structure.small_repository import begin, called, commit, ran
 ROOT = Path(__file__).parents[2]
 CODE = "deblur_avatar/pipeline/code.py"
 # And what it imports.
-OF_CODE = [
-    CODE,
-    "deblur_avatar/errors.py",
-    *(f"deblur_avatar/config/{name}.py" for name in ("__init__", "proof", "reading", "section")),
-]
+OF_CODE = sorted(path.relative_to(ROOT).as_posix() for path in import_closure(ROOT / CODE, ROOT))
 PIPELINE = """\
 stages:
   code:

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 def sample() -> dict[str, dict]:
     """What became of each reader's inputs, by its name; in a process that shapes do not slow."""
     done = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz", "--inputs", "4", "--every", "40"],
+        [sys.executable, "-m", "tests.fuzz", "--inputs", "2", "--every", "80"],
         cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True,
         check=False,
     )  # fmt: skip
