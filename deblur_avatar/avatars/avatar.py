@@ -23,8 +23,9 @@ from deblur_avatar.artifacts.avatar import (
     part_on_disk,
 )
 from deblur_avatar.artifacts.body import Body
+from deblur_avatar.avatars.gaussian_edits import Edits
 from deblur_avatar.avatars.gaussians import Gaussians
-from deblur_avatar.avatars.params import AvatarParams, FittingParams, Precision
+from deblur_avatar.avatars.params import AvatarParams, DensifyParams, FittingParams, Precision
 from deblur_avatar.bodies.posed_body import (
     shaped_vertices,
     transforms_from_rotations,
@@ -232,6 +233,26 @@ class AvatarModel(nn.Module, ABC):
     @property
     def densified(self) -> Gaussians | None:
         """The Gaussians that densification adds to and drops from; None of kinds without any."""
+        return None
+
+    def edits(
+        self,
+        pulls: Float[Tensor, " N"],
+        params: DensifyParams,
+        room: int,
+        generator: torch.Generator,
+    ) -> Edits | None:
+        """Which Gaussians densification keeps and adds, of kinds with a rule of their own.
+
+        Args:
+            pulls: how strongly each is moved: mean length of its gradient on the screen.
+            params: its `Fitting.densify`.
+            room: how many more there may be.
+            generator: of what is drawn at random.
+
+        Returns:
+            None for the usual rule (`training/densify.py`).
+        """
         return None
 
     @property

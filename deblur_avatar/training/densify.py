@@ -6,17 +6,19 @@ lengths is what one sharp instant would have; lengths are added, never vectors, 
 instants cancel.
 """
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.optim import Optimizer
 
+from deblur_avatar.avatars.gaussian_edits import Edits, Part, copied, halves, strongest
 from deblur_avatar.avatars.gaussians import Gaussians
 from deblur_avatar.avatars.params import DensifyParams
-from deblur_avatar.geometry.rotations import quat_to_matrix
 
-# Not a parameter: 3DGS's (Kerbl et al. 2023); which are split, DensifyParams' thresholds say.
-SPLIT_SHRINK = 1.6  # how much narrower the two halves of a split Gaussian are
+# An avatar's own rule: `AvatarModel.edits`.
+Rule = Callable[[Tensor, DensifyParams, int, torch.Generator], Edits | None]
 
 
 class Densifier:
@@ -46,18 +48,14 @@ class Densifier:
         optimizer: Optimizer,
         params: DensifyParams,
         generator: torch.Generator,
+        rule: Rule | None = None,
     ) -> None:
-        """Clone small, split large Gaussians of large gradient; drop faint and huge ones."""
+        """Add and drop Gaussians by the avatar's own rule, if it has one, or by the usual one."""
         grad_accum = self.grad_accum / self.count.clamp(min=1)
         with torch.no_grad():
-            largest = gaussians.scales.amax(1)
-            room = int(params.max_growth * self._first_count) - len(gaussians)
-            moved = _strongest(grad_accum, params.gradient, max(room, 0))
-            clone = moved & (largest <= params.clone_below_m)
-            split = moved & ~clone
-            faint = gaussians.opacities < params.prune_opacity
-            keep = ~(split | faint | (largest > params.prune_scale_m))
-            added = [_cloned(gaussians, clone), *_halves(gaussians, split, generator)]
+            room = max(int(params.max_growth * self._first_count) - len(gaussians), 0)
+            own = None if rule is None else rule(grad_accum, params, room, generator)
+            keep, added = own or _usual_edits(gaussians, grad_accum, params, room, generator)
         replace_gaussians(gaussians, optimizer, keep, added)
         self.grad_accum = torch.zeros(len(gaussians), device=self.grad_accum.device)
         self.count = torch.zeros_like(self.grad_accum)
@@ -78,7 +76,7 @@ def replace_gaussians(
     gaussians: Gaussians,
     optimizer: Optimizer,
     keep: Tensor,
-    added: list[dict[str, Tensor]],
+    added: list[Part],
 ) -> None:
     """Keep some Gaussians, add others; the optimizer's memory follows (new ones have none)."""
     for group in optimizer.param_groups:
@@ -95,31 +93,15 @@ def replace_gaussians(
         setattr(gaussians, name, fresh)
 
 
-def _strongest(grad_accum: Tensor, threshold: float, room: int) -> Tensor:
-    chosen = grad_accum > threshold
-    if int(chosen.sum()) > room:
-        order = torch.where(chosen, grad_accum, torch.zeros_like(grad_accum)).argsort(
-            descending=True
-        )
-        chosen = torch.zeros_like(chosen)
-        chosen[order[:room]] = True
-    return chosen
-
-
-def _cloned(gaussians: Gaussians, chosen: Tensor) -> dict[str, Tensor]:
-    return {name: value.data[chosen] for name, value in gaussians.named_parameters()}
-
-
-def _halves(
-    gaussians: Gaussians, chosen: Tensor, generator: torch.Generator
-) -> list[dict[str, Tensor]]:
-    parts = []
-    for _ in range(2):
-        part = _cloned(gaussians, chosen)
-        scales = part["log_scales"].exp()
-        offset = torch.randn(scales.shape, generator=generator, device=scales.device) * scales
-        turned = (quat_to_matrix(part["quats"]) @ offset[..., None])[..., 0]
-        part["means"] = part["means"] + turned
-        part["log_scales"] = (scales / SPLIT_SHRINK).log()
-        parts.append(part)
-    return parts
+def _usual_edits(
+    gaussians: Gaussians, pulls: Tensor, params: DensifyParams, room: int,
+    generator: torch.Generator,
+) -> Edits:  # fmt: skip
+    """Clone small, split large Gaussians of large gradient; drop faint and huge ones."""
+    largest = gaussians.scales.amax(1)
+    moved = strongest(pulls, params.gradient, room)
+    clone = moved & (largest <= params.clone_below_m)
+    split = moved & ~clone
+    faint = gaussians.opacities < params.prune_opacity
+    keep = ~(split | faint | (largest > params.prune_scale_m))
+    return keep, [copied(gaussians, clone), *halves(gaussians, split, generator)]

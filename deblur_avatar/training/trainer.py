@@ -324,7 +324,9 @@ class AvatarFit:
         self._densifier.observe(screen.means2d_grad, rasterized.radii, *size)
         if step.iteration % max(round(params.every * step.scale), 1) == 0:
             assert self.optimizers.gaussians is not None
-            self._densifier.edit(gaussians, self.optimizers.gaussians, params, self._generator)
+            self._densifier.edit(
+                gaussians, self.optimizers.gaussians, params, self._generator, self.avatar.edits
+            )
             self.avatar.invalidate_neighbours()
 
     def _next_frame(self) -> int:

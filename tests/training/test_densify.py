@@ -216,3 +216,31 @@ def test_a_restored_densifier_decides_as_the_saved_one_would(most):
         results.append(gaussians.features.tolist())
     assert results[0] == results[1]
     assert len(results[0]) == (5 if most == 2.0 else 3)
+
+
+def test_an_avatars_own_rule_takes_the_place_of_the_usual_one():
+    gaussians = gaussians_of([SMALL, SMALL, HUGE])
+    optimizer, asked = optimizer_of(gaussians), []
+
+    def rule(pulls, params, room, generator):
+        asked.append((pulls, params, room))
+        keep = torch.tensor([True, False, True])
+        return keep, [{name: value.data[:1] for name, value in gaussians.named_parameters()}]
+
+    densifier = pulled(gaussians, [2e-3, 0.0, 0.0])
+    densifier.edit(gaussians, optimizer, PARAMS, seeded(), rule)
+    assert gaussians.features[:, 0].tolist() == [0.0, 4.0, 0.0]
+    ((pulls, params, room),) = asked
+    torch.testing.assert_close(pulls, torch.tensor([2e-3, 0.0, 0.0]))
+    assert params is PARAMS
+    assert room == 3
+    assert densifier.state()["pull"].tolist() == [0, 0, 0]
+
+
+def test_a_rule_that_has_none_leaves_the_usual_one():
+    gaussians = gaussians_of([SMALL, LARGE, HUGE])
+    densifier = pulled(gaussians, [2e-3, 2e-3, 0.0])
+    densifier.edit(gaussians, optimizer_of(gaussians), PARAMS, seeded(), lambda *asked: None)
+    usual, _ = edited([SMALL, LARGE, HUGE], [2e-3, 2e-3, 0.0])
+    for name, value in gaussians.named_parameters():
+        assert torch.equal(value, getattr(usual, name))
