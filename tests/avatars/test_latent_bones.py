@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -25,6 +27,13 @@ def turns(seed=0, dtype=torch.float32):
 def bones():
     torch.manual_seed(0)
     return LatentBones(JOINTS, 4, [16, 16])
+
+
+@pytest.fixture
+def body(body):
+    """A body whose root is not where space begins."""
+    apart = torch.tensor([0.1, 0.9, -0.2])
+    return dataclasses.replace(body, vertices=body.vertices + apart, joints=body.joints + apart)
 
 
 @pytest.fixture

@@ -62,6 +62,11 @@ def test_a_volume_that_has_learned_nothing_has_weights_that_sum_to_1(volume, bod
     torch.testing.assert_close(latent, torch.full((50, 3), FIRST_LATENT))
 
 
+def test_a_bodys_rounded_weights_come_to_1_all_the_same(body, vertices):
+    volume = WeightVolume(vertices, 0.9995 * body.lbs_weights, NODES, 2, 1)
+    torch.testing.assert_close(volume.base.sum(0), torch.ones(NODES))
+
+
 def test_a_node_takes_its_weights_from_the_nearest_vertices_by_their_nearness(monkeypatch):
     vertices = torch.tensor([[0.0, 0, 0], [1.0, 0, 0], [5.0, 0, 0]])
     weights = torch.eye(3)
