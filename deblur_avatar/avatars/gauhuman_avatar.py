@@ -4,7 +4,7 @@ Conventions. Colours are harmonics that turn with the skin. The release's second
 corrects the pose, is a motion here (`motion: {kind: network}`). World coordinates, metres.
 """
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from jaxtyping import Float
@@ -129,11 +129,11 @@ class GauhumanAvatar(SplatAvatar):
     def edits(
         self,
         pulls: Float[Tensor, " N"],
-        params: KlDensifyParams,
+        params: Any,
         room: int,
         generator: torch.Generator,
     ) -> Edits:
-        """Densify by divergence, near the body."""
+        """Densify by divergence, near the body; `params` are of `KlDensifyParams`."""
         vertices = self.canonical_vertices
         return kl_edits(self.gaussians, pulls, params, room, vertices, generator)
 

@@ -77,8 +77,15 @@ def kl_edits(
 def divergence_from_nearest(
     gaussians: Gaussians,
 ) -> tuple[Int64[Tensor, " N"], Float[Tensor, " N"]]:
-    """Who is nearest to each Gaussian, and how far it diverges from that one."""
-    nearest = neighbour_indices(gaussians.means, 1)[:, 0]
+    """Who is nearest to each Gaussian, and how far it diverges from that one.
+
+    One that is alone diverges without bound, from itself.
+    """
+    near = neighbour_indices(gaussians.means, 1)
+    if not near.shape[1]:
+        alone = gaussians.means.new_full((len(near),), torch.inf)
+        return torch.arange(len(near), device=near.device), alone
+    nearest = near[:, 0]
     own = gaussians.means, gaussians.quats, gaussians.log_scales
     others = tuple(value[nearest] for value in own)
     return nearest, kl_divergence(*own, *others)

@@ -128,6 +128,13 @@ def test_a_large_one_gives_way_to_two_that_are_narrower():
     assert not torch.equal(halves[0]["means"], halves[1]["means"])
 
 
+@pytest.mark.parametrize(("scale", "kept", "new"), [(SMALL, True, 1), (LARGE, False, 2)])
+def test_one_that_is_alone_is_unlike_any_other(scale, kept, new):
+    keep, added = edited(along(0.0, scales=[scale]), [PULLED])
+    assert keep.tolist() == [kept]
+    assert sum(len(part["means"]) for part in added) == new
+
+
 @pytest.mark.parametrize("scale", [SMALL, LARGE])
 def test_those_that_overlap_with_the_nearest_neither_split_nor_multiply(scale):
     gaussians = along(0.0, 0.7 * scale, scales=[scale, scale])  # a divergence of 0.245
