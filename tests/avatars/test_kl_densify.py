@@ -182,12 +182,12 @@ def test_nobody_is_merged_twice_and_the_most_alike_come_first():
 
 
 def test_who_is_merged_has_no_other_part_in_an_edit():
-    # 1 merges with 2; 0, whose nearest is 1, multiplies all the same.
-    gaussians = along(0.0, 0.02, 0.0205, scales=[SMALL, SMALL, SMALL])
+    # 0 merges with 1, whose own nearest is 2, a tiny one that is nothing like it.
+    gaussians = along(0.0, 0.001, 0.0015, scales=[SMALL, SMALL, SMALL / 25])
     keep, (merged, clones, *_) = edited(gaussians, [PULLED] * 3)
-    assert keep.tolist() == [True, False, False]
-    assert len(merged["means"]) == 1
-    assert clones["features"].tolist() == [[0.0, 1.0]]
+    assert keep.tolist() == [False, False, True]
+    assert merged["features"].tolist() == [[1.0, 2.0]]
+    assert clones["features"].tolist() == [[4.0, 5.0]]
 
 
 def test_growth_ends_where_there_is_no_room_and_the_strongest_come_first():
