@@ -54,6 +54,16 @@ def render_avatar(
     return encode(image, model.averaging_space), torch.cat([one.alpha for one in rendered])
 
 
+def light_behind(
+    observations: Observations, position: int, device: torch.device
+) -> Float[Tensor, "H W 3"] | None:
+    """What is behind the person in one frame, in the space in which light is averaged."""
+    picture = observations.background(position)
+    if picture is None:
+        return None
+    return decode(picture.to(device).float() / 255, observations.averaging_space)
+
+
 def as_filmed(
     observations: Observations,
     position: int,
@@ -68,9 +78,8 @@ def as_filmed(
         image: on black, sRGB in [0, 1].
         alpha: coverage.
     """
-    picture = observations.background(position)
-    if picture is None:
+    behind = light_behind(observations, position, image.device)
+    if behind is None:
         return image
     space = observations.averaging_space
-    behind = decode(picture.to(image) / 255, space)
     return encode(over(decode(image, space), alpha, behind), space)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.render import light_behind
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.exposure import AveragingSpace, decode, encode, over
@@ -77,20 +78,10 @@ class Targets:
         """Light behind the person at full size; that of a still camera is converted once."""
         held = self._observations.backgrounds
         if held is None or len(held) > 1:
-            return background_light(self._observations, index, self._device)
+            return light_behind(self._observations, index, self._device)
         if self._still is None:
-            self._still = background_light(self._observations, index, self._device)
+            self._still = light_behind(self._observations, index, self._device)
         return self._still
-
-
-def background_light(
-    observations: Observations, index: int, device: torch.device
-) -> Float[Tensor, "H W 3"] | None:
-    """What is behind the person in one frame, in the space in which light is averaged."""
-    picture = observations.background(index)
-    if picture is None:
-        return None
-    return decode(picture.to(device).float() / 255, observations.averaging_space)
 
 
 def target_of(
