@@ -77,6 +77,12 @@ class Pipelines:
                     stale[name] = Task(name, needs, cost.seconds, cost.memory_mb, cores, command)
         return stale
 
+    def pages(self) -> list[Path]:
+        """The pages of reports that there are; pages of single items lie in the cache."""
+        outs = (out for stage in self.stages for out in stage.outs if not out.use_cache)
+        pages = (Path(out.fs_path, "index.html") for out in outs)
+        return [page.relative_to(self.root.resolve()) for page in pages if page.is_file()]
+
     def locks(self) -> dict[Path, list[str]]:
         """The entries of every lock beside these pipelines, in their order."""
         folders = dict.fromkeys(Path(stage.path).parent for stage in self.stages)

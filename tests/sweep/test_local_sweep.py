@@ -45,7 +45,8 @@ def serial(made, tmp_path_factory) -> dict[str, bytes]:
 def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, serial):
     done = swept(project, "dvc.yaml", MORE, "--at-once", "3")
     assert done.returncode == 0, done.stderr
-    assert "16 of 16 tasks done" in done.stdout
+    assert "17 of 17 tasks done" in done.stdout
+    assert "tables and charts: experiments/more/reports/index.html\n" in done.stdout
     assert results(project) == serial
     again = swept(project, "dvc.yaml", MORE)
     assert "0 of 0 tasks done" in again.stdout
