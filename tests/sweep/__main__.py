@@ -40,7 +40,7 @@ CASES = "experiments/cases/params.yaml"
 SCENES = ("studio", "linear", "unfitted")
 METHODS = ("agnostic", "paper", "no_fusion", "cubic", "mad", "mad_literal", "network", "lean")
 SIZE = {
-    "warmup": 200, "trajectory": 500, "fusion": 1000, "gaussians": 2000, "image_height": 96,
+    "warmup": 100, "trajectory": 250, "fusion": 500, "gaussians": 2000, "image_height": 96,
     "levels": [],
 }  # fmt: skip
 # What a clock says, and locks, which hold its hash.
@@ -113,7 +113,7 @@ def told(progress: Progress, ended: Ended | None) -> None:
 
 
 def on_a_cluster(root: Path) -> Progress:
-    """Two raylets; one is gone once half of the tasks are done."""
+    """Two raylets; one is gone once half of the tasks are done, while both are at work."""
     from ray.cluster_utils import Cluster
 
     from deblur_avatar.sweep.ray_engine import RayEngine
@@ -124,7 +124,8 @@ def on_a_cluster(root: Path) -> Progress:
 
     def watch(progress: Progress, ended: Ended | None) -> None:
         told(progress, ended)
-        if others and 2 * len(progress.done) >= len(progress.tasks):
+        at_work = ended is None and len(progress.running) == 2
+        if others and at_work and 2 * len(progress.done) >= len(progress.tasks):
             cluster.remove_node(others.pop(), allow_graceful=False)
 
     try:
