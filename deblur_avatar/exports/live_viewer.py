@@ -35,9 +35,9 @@ MOVING, RESTING = 320, 768  # pixels of the longer side
 REST = 0.4  # seconds without a change, after which pictures are large
 NEWS = 2.0  # seconds between two looks at what a fit has left on disk
 PAUSE = 0.02  # seconds between two looks at what has changed
-# While a fit goes on: times what the last step took, so that pictures take a fifth of the time.
+# While a fit goes on: times the last step's processor time, so that pictures take a fifth of one.
 PAUSE_WHILE_FITTING = 4.0
-LONGEST_PAUSE = 0.2  # seconds: a hand that turns sees five pictures a second at least
+LONGEST_PAUSE = 0.2  # seconds, after an avatar was loaded, say
 INSTANTS = 9  # of an exposure
 LONGEST_SHUTTER = 0.1  # seconds
 JPEG_QUALITY = 88  # of streamed pictures: edges stay clean
@@ -166,9 +166,9 @@ class LiveViewer:
         """Draw until the keyboard interrupts."""
         try:
             while True:
-                begin = time.monotonic()
+                begin = time.process_time()
                 self.step()
-                time.sleep(self.pause_after(time.monotonic() - begin))
+                time.sleep(self.pause_after(time.process_time() - begin))
         except KeyboardInterrupt:
             self.stop()
 
@@ -180,7 +180,7 @@ class LiveViewer:
         return sum(self._send(client) for client in self._server.get_clients().values())
 
     def pause_after(self, took: float) -> float:
-        """Seconds to wait after a step of so many: a fit goes first."""
+        """Seconds to wait after a step that took so many of a processor: a fit goes first."""
         if not self._fitting:
             return PAUSE
         return min(max(PAUSE_WHILE_FITTING * took, PAUSE), LONGEST_PAUSE)
