@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from deblur_avatar.avatars.mesh_gaussians import (
-    ROUND,
     MeshGaussians,
     face_gaussians,
     steiner_frames,
@@ -187,8 +186,9 @@ def test_round_and_flat_faces_have_finite_gaussians_and_gradients(corners):
 
 def test_what_counts_as_round_or_flat_is_far_below_what_a_body_has():
     almost = equilateral(0.01)
-    almost[0] += 10 * ROUND * 0.01
-    axes = steiner_frames(almost, THICKNESS)
-    assert axes[:, 0].norm() > axes[:, 1].norm() + 1e-6
+    almost[0] += 1e-5  # a thousandth
+    longer, shorter, _ = steiner_frames(almost, THICKNESS).T
+    assert longer.norm() > shorter.norm() + 1e-6
+    assert float(longer @ shorter) == pytest.approx(0.0, abs=1e-12)
     sliver = torch.tensor([[0.0, 0, 0], [0.01, 0, 0], [0.005, 1e-5, 0]])
     assert steiner_frames(sliver, THICKNESS)[2, 2].abs() == pytest.approx(THICKNESS)
