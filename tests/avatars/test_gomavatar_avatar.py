@@ -6,6 +6,8 @@ from deblur_avatar.avatars.frequency_encoding import frequency_encoding, hann_wi
 from deblur_avatar.avatars.gomavatar_avatar import GomavatarAvatar
 from deblur_avatar.avatars.gomavatar_params import GomavatarParams
 from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.avatars.mesh_gaussians import face_gaussians
+from deblur_avatar.avatars.mesh_terms import laplacian, mesh_edges
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.avatars.surface_projection import vertex_normals
 from deblur_avatar.bodies.posed_body import posed_vertices
@@ -18,7 +20,9 @@ from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.motion.frame import FixedMotion, FixedParams
 from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.rendering.conventions import eps2d_of
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
+from deblur_avatar.rendering.rasterize import rasterize
 from deblur_avatar.training import resume, trainer
 from deblur_avatar.training.optimizers import Optimizers
 from deblur_avatar.training.params import FitParams, RecipeParams
@@ -103,6 +107,13 @@ def test_it_has_a_gaussian_a_face_however_many_are_asked_for(avatar, body):
     assert avatar.densified is None
 
 
+def test_all_that_is_random_of_it_comes_from_the_generator(body, recipe, avatar):
+    torch.manual_seed(99)
+    again = GomavatarAvatar.create(recipe.model, body, avatar.betas, FRAMES, 120, "srgb", seeded())
+    for one, other in zip(avatar.parameters(), again.parameters(), strict=True):
+        assert torch.equal(one, other)
+
+
 def test_its_networks_are_as_large_as_the_published_ones(tiny_content, body):
     content = tiny_content["avatars"]["gomavatar"]
     recipe = parse(RecipeParams, content, "avatars.gomavatar")
@@ -170,6 +181,35 @@ def test_pixels_that_nothing_covers_are_not_asked_for_a_shade(loud, bent, camera
     seen = drawn(loud, bent, camera)
     nothing = loud.shading_map(seen.vertices[0], torch.zeros(24, 24), camera)
     assert torch.equal(nothing, loud.shades(torch.zeros(1, 3)).expand(24, 24))
+
+
+def test_a_shade_sees_the_normal_itself_as_well_as_its_encoding(loud):
+    normals = torch.nn.functional.normalize(torch.randn(9, 3, generator=seeded(6)), dim=1)
+    first = loud.shading.layers[0].weight.data
+    assert first.shape[1] == 3 + 12
+    for hidden in (slice(0, 3), slice(3, None)):
+        kept = first.clone()
+        first[:, hidden] = 0
+        assert loud.shades(normals).std() > 1e-2
+        first.copy_(kept)
+
+
+def test_gaussians_are_opaque_as_thin_as_said_and_as_soft_as_the_cameras_pixels(
+    loud, bent, camera, monkeypatch
+):
+    seen = {}
+
+    def watched(means, covars, opacities, colors, *args, **options):
+        seen.update(covars=covars, opacities=opacities, colors=colors, **options)
+        return rasterize(means, covars, opacities, colors, *args, **options)
+
+    monkeypatch.setattr("deblur_avatar.avatars.gomavatar_avatar.rasterize", watched)
+    vertices = drawn(loud, bent, camera.binned(0.5)).vertices
+    wanted = face_gaussians(vertices, loud.faces, loud.mesh.shapes, 1e-3)[1]
+    assert torch.equal(seen["covars"], wanted)
+    assert torch.equal(seen["opacities"], torch.ones(len(loud.faces)))
+    assert torch.equal(seen["colors"], loud.mesh.colors)
+    assert seen["eps2d"] == eps2d_of(2.0) != eps2d_of(1.0)
 
 
 def test_the_whole_body_and_the_camera_turned_together_make_the_same_picture(loud, bent, camera):
@@ -262,6 +302,14 @@ def test_frequencies_are_let_in_one_after_the_other(loud, bent, recipe, scale):
     assert found.std(0).max() > 1e-2
 
 
+def test_offsets_are_added_to_vertices_that_go_on_learning(avatar, bent):
+    rotations = axis_angle_to_matrix(bent)
+    transforms = avatar.transforms(rotations, torch.zeros(3))
+    state = silent(avatar).condition(rotations, 0, transforms, torch.eye(4))
+    state.vertices.sum().backward()
+    assert torch.equal(avatar.mesh.vertices.grad, torch.ones_like(avatar.mesh.vertices))
+
+
 def test_the_non_rigid_network_sees_the_pose_but_not_how_the_body_is_turned(loud, bent):
     turned, other = bent.clone(), bent.clone()
     turned[0] = torch.tensor([0.0, 2.0, 0.0])
@@ -303,6 +351,8 @@ def test_every_regulariser_has_a_weight_and_pulls_at_what_it_is_named_after(
         term().backward(retain_graph=True)
         moved = {n for n, p in loud.named_parameters() if p.grad is not None and p.grad.any()}
         assert moved == {pulled[name]}, name
+    posed = laplacian(rendering.vertices, mesh_edges(loud.faces))
+    assert terms["laplacian"]() == posed != laplacian(loud.mesh.vertices[None], loud.edges)
 
 
 def test_every_unknown_has_one_learning_rate(avatar, recipe):
@@ -313,6 +363,9 @@ def test_every_unknown_has_one_learning_rate(avatar, recipe):
     assert set(held) == set(avatar.parameters())
     names = [name for named in groups.values() for name, _ in named]
     assert set(names) == avatar.to_artifact(1).networks.keys()
+    parts = {"shading": "shading.", "nonrigid": "offsets."}
+    for group, named in groups.items():
+        assert all(name.startswith(parts.get(group, f"mesh.{group}")) for name, _ in named)
 
 
 def test_every_learning_rate_falls_to_a_tenth(recipe):
