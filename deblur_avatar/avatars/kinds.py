@@ -14,6 +14,7 @@ from deblur_avatar.config.reading import parse
 AVATARS: Registry[AvatarModel] = Registry(
     {
         "gart": "deblur_avatar.avatars.gart_avatar:GartAvatar",
+        "gomavatar": "deblur_avatar.avatars.gomavatar_avatar:GomavatarAvatar",
         "networks": "deblur_avatar.avatars.networks_avatar:NetworksAvatar",
         "plain": "deblur_avatar.avatars.plain_avatar:PlainAvatar",
     }
