@@ -99,6 +99,7 @@ out.mkdir(parents=True)
 metrics.parent.mkdir(parents=True, exist_ok=True)
 metrics.write_text(json.dumps({'length': len(text)}))
 """
+# The root has more than half of all stages: only then is the order of `dvc repro` always the same.
 FOLDERS = ("", "experiments/more")
 
 
@@ -115,7 +116,7 @@ def begin_project(root: Path) -> None:
         files[str(Path(folder, "dvc.yaml"))] = STAGES
         params = PARAMS.replace("ROOT", up).replace("NAME", name)
         files[str(Path(folder, "params.yaml"))] = params.replace(
-            "REPORTS", "reports" if folder else ""
+            "REPORTS", "" if folder else "reports"
         )
     begin(root, files)
     commit(root)
