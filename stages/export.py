@@ -7,11 +7,13 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.exports.exporter import FittedRun, sharp_observations
 from deblur_avatar.pipeline.export import ExportsParams, export
 
 
-def main(name: str, observations: Path, fusion: Path, out: Path, params_file: Path) -> None:
+def main(
+    name: str, observations: Path, sharp: Path, fusion: Path, out: Path, params_file: Path
+) -> None:
     """Write the files of `exports.<name>` into `<out>`."""
     params = load_params(params_file, f"exports.{name}", ExportsParams)
     with run.stage("export", name, seed=0):  # nothing here is random
@@ -20,6 +22,7 @@ def main(name: str, observations: Path, fusion: Path, out: Path, params_file: Pa
             Avatar.load(fusion / "avatar"),
             Motion.load(fusion / "motion"),
             Observations.load(observations),
+            sharp_observations(sharp),
         )
         export(fitted, params, out, f"{params_file}: exports.{name}")
 

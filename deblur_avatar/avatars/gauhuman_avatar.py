@@ -71,7 +71,7 @@ class GauhumanFitting(HarmonicFitting):
 class GauhumanAvatar(SplatAvatar):
     """Gaussians, and the network that re-weighs their blend weights.
 
-    Source: GauHuman, Hu et al., CVPR 2024 (where this departs: docs/decisions/0039-gauhuman.md).
+    Source: GauHuman, Hu et al., CVPR 2024 (where this departs: docs/decisions/0042-gauhuman.md).
     """
 
     kind = "gauhuman"

@@ -28,10 +28,12 @@ _deblur_avatar() {{
 }}
 complete -o default -F _deblur_avatar deblur-avatar
 """
+# zsh loads the file as a function at the first Tab, which is to complete, too.
 ZSH = """\
 #compdef deblur-avatar
 autoload -Uz bashcompinit && bashcompinit
-{bash}"""
+{bash}[ "$funcstack[1]" = _deblur-avatar ] && _bash_complete -o default -F _deblur_avatar
+"""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params, parse, read_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import Exporter, FittedRun
+from deblur_avatar.exports.exporter import Exporter, FittedRun, sharp_observations
 from deblur_avatar.exports.registry import EXPORTERS, ExportParams
 
 logger = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--fps", type=float, help="of motions not filmed (default 30)")
     parser.add_argument("--seconds", type=float, help="the most of these (default 10)")
-    parser.add_argument("--pictures", type=int, help="filmed frames (page; default 12)")
+    parser.add_argument("--pictures", type=int, help="instants with frames (page; default 12)")
     parser.add_argument("--beside", metavar="RUN", help="another run shown beside it (page)")
 
 
@@ -126,12 +126,13 @@ def load_run(folder: Path, name: str) -> FittedRun:
     """
     run: RunParams = load_params(folder / PARAMS, f"runs.{name}", RunParams)
     footage = folder / load_params(folder / PARAMS, "from.footage", str)
-    fitted = folder / "data/fusion" / name
+    prepared, fitted = footage / "preprocess" / run.scene, folder / "data/fusion" / name
     return FittedRun(
         name=name,
         avatar=Avatar.load(fitted / "avatar"),
         motion=Motion.load(fitted / "motion"),
-        observations=Observations.load(footage / "preprocess" / run.scene / run.observations),
+        observations=Observations.load(prepared / run.observations),
+        sharp=sharp_observations(prepared / "sharp"),
     )
 
 

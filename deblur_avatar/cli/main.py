@@ -3,8 +3,11 @@
 import argparse
 import importlib
 import logging
+import os
+import signal
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 
 from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
 
@@ -23,6 +26,8 @@ COMMANDS = {
     "completion": "print what completes these words on a shell's command line",
 }
 INTERRUPTED = 130  # as shells say it
+STOPPED = "\nStopped. The same command goes on where it stopped.\n"
+STANDARD_ERROR = 2
 MANUAL = """\
 first steps, in any folder:
   deblur-avatar setup
@@ -55,17 +60,37 @@ def main(words: Sequence[str] | None = None) -> int:
         words: of the command line; the process's own if None.
     """
     words = sys.argv[1:] if words is None else list(words)
-    asked = command_parser(words[:1]).parse_args(words)
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
+    with _leaving_at_once():
+        asked = command_parser(words[:1]).parse_args(words)
     try:
+        logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
         code: int = asked.execute(asked)
     except (ConfigError, ArtifactError, FittingError) as error:
-        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        # One line, whatever a parser within says: YAML's shows the place in several.
+        sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())}\n")
         return 1
     except KeyboardInterrupt:
-        sys.stderr.write("\nStopped. The same command goes on where it stopped.\n")
+        sys.stderr.write(STOPPED)
         return INTERRUPTED
     return code
+
+
+@contextmanager
+def _leaving_at_once() -> Iterator[None]:
+    """End the process at Ctrl-C while torch is loaded, which takes seconds.
+
+    An import that is broken off leaves half a module, in which anything may be raised.
+    """
+
+    def leave(*_: object) -> None:
+        os.write(STANDARD_ERROR, STOPPED.encode())
+        os._exit(INTERRUPTED)
+
+    before = signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def command_parser(loaded: Collection[str]) -> argparse.ArgumentParser:

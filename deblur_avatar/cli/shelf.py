@@ -79,6 +79,10 @@ class SceneRuns:
             return text
         return f"{text} Shown: step {kept.iteration}."
 
+    def fitting(self, name: str) -> bool:
+        """Whether more steps of a run are to come, now or once somebody goes on with it."""
+        return not self._runs[name].standing().finished
+
     def curve(self, name: str) -> list[tuple[int, float]]:
         """Steps of fitting, and how well the avatar of then explains blurred frames, dB.
 

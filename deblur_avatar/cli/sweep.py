@@ -112,7 +112,7 @@ def sweep(
         finally:
             pipelines.put_in_order(before)
         costs.remember(progress.took)
-        return _told(progress)
+        return _told(progress, pipelines.pages())
 
 
 def _experiments(
@@ -215,7 +215,7 @@ def _tail(said: str) -> str:
     return "\n  ".join(said.splitlines()[-LINES:])
 
 
-def _told(progress: Progress) -> int:
+def _told(progress: Progress, pages: Sequence[Path]) -> int:
     """Say what became of all tasks; the exit code."""
     again = sum(progress.lost.values())
     retold = f", {again} begun again" if again else ""
@@ -224,4 +224,6 @@ def _told(progress: Progress) -> int:
         logger.info("failed: %s", name)
     for name in sorted(progress.left):
         logger.info("left, since it needs one that failed: %s", name)
+    for page in pages:
+        logger.info("tables and charts: %s", page)
     return 1 if progress.failed else 0

@@ -5,11 +5,12 @@ reach them. Ends with Ctrl-C. For a file to send to someone: `deblur-avatar expo
 
 All runs of the same scene that have an avatar can be chosen. One that is still fitted is shown as
 the newest snapshot has it, with how far it is and how well each snapshot explains blurred frames
-that were set aside; `deblur-avatar video` in another terminal is not disturbed.
+that were set aside; `deblur-avatar video` in another terminal is not disturbed, and goes first.
 """
 
 import argparse
 import logging
+import os
 
 from deblur_avatar.cli.export import find_run
 from deblur_avatar.cli.shelf import SceneRuns
@@ -19,6 +20,7 @@ from deblur_avatar.exports.live_viewer import LiveViewer
 logger = logging.getLogger(__name__)
 
 LAST_PORT = 65535
+NICENESS = 10  # of Linux's 19: a tenth of the processor that a fit would have for itself
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,6 +47,8 @@ def run(asked: argparse.Namespace) -> int:
     shelf = SceneRuns(*find_run(asked.run), asked.motions)
     first = shelf.news(shelf.names[0])
     assert first is not None  # nothing was asked for before
+    if any(shelf.fitting(name) for name in shelf.names):
+        os.nice(NICENESS)
     viewer = LiveViewer(first, shelf.motions(first), asked.port, shelf)
     logger.info("%s (Ctrl-C ends it)", viewer.address)
     viewer.run()

@@ -17,14 +17,27 @@ from deblur_avatar.artifacts.observations import Observations
 class FittedRun:
     """What a run leaves behind: who was fitted, how it moved, how it was filmed.
 
-    `beside` is another run that formats show next to this one where they can show two.
+    `sharp` are the filming camera's sharp frames where the source knows them: only to be shown, no
+    number comes from them. `beside` is another run that formats show next to this one where they
+    can show two.
     """
 
     name: str
     avatar: Avatar
     motion: Motion
     observations: Observations
+    sharp: Observations | None = None
     beside: "FittedRun | None" = None
+
+
+def sharp_observations(folder: Path) -> Observations | None:
+    """The sharp frames that `preprocess` wrote; None where the source knows none.
+
+    Raises:
+        ArtifactError: if they are damaged.
+    """
+    known = folder.is_dir() and any(folder.iterdir())
+    return Observations.load(folder) if known else None
 
 
 @runtime_checkable

@@ -35,6 +35,9 @@ MOVING, RESTING = 320, 768  # pixels of the longer side
 REST = 0.4  # seconds without a change, after which pictures are large
 NEWS = 2.0  # seconds between two looks at what a fit has left on disk
 PAUSE = 0.02  # seconds between two looks at what has changed
+# While a fit goes on: times the last step's processor time, so that pictures take a fifth of one.
+PAUSE_WHILE_FITTING = 4.0
+LONGEST_PAUSE = 0.2  # seconds, after an avatar was loaded, say
 INSTANTS = 9  # of an exposure
 LONGEST_SHUTTER = 0.1  # seconds
 JPEG_QUALITY = 88  # of streamed pictures: edges stay clean
@@ -101,6 +104,10 @@ class Shelf(Protocol):
         """How far fitting is, in a sentence."""
         ...
 
+    def fitting(self, name: str) -> bool:
+        """Whether more steps of a run are to come."""
+        ...
+
     def curve(self, name: str) -> list[tuple[int, float]]:
         """Steps of fitting, and how well the avatar of then explains blurred frames, dB."""
         ...
@@ -140,6 +147,7 @@ class LiveViewer:
         self._last = time.monotonic()
         self._shelf, self._looked = shelf, -math.inf
         self._curve: Any = None
+        self._fitting = False  # the run that is shown
         if shelf is not None:
             self._name = gui.add_dropdown("Run", tuple(shelf.names))
             self._shown_name = self._name.value
@@ -158,8 +166,9 @@ class LiveViewer:
         """Draw until the keyboard interrupts."""
         try:
             while True:
+                begin = time.process_time()
                 self.step()
-                time.sleep(PAUSE)
+                time.sleep(self.pause_after(time.process_time() - begin))
         except KeyboardInterrupt:
             self.stop()
 
@@ -169,6 +178,12 @@ class LiveViewer:
             self._look_for_news(self._shelf)
         self._advance()
         return sum(self._send(client) for client in self._server.get_clients().values())
+
+    def pause_after(self, took: float) -> float:
+        """Seconds to wait after a step that took so many of a processor: a fit goes first."""
+        if not self._fitting:
+            return PAUSE
+        return min(max(PAUSE_WHILE_FITTING * took, PAUSE), LONGEST_PAUSE)
 
     def picture(self, view: View, shown: Shown, longest: int) -> UInt8[np.ndarray, "H W 3"]:
         """What a browser is sent."""
@@ -187,6 +202,7 @@ class LiveViewer:
             run = shelf.news(name)
             if run is not None:
                 self._show(run, shelf.motions(run))
+            self._fitting = shelf.fitting(name)
             self._status.content = shelf.status(name)
             self._draw_curve(shelf.curve(name))
         except ArtifactError as error:  # a snapshot that was thrown away in between

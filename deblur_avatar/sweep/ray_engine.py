@@ -8,6 +8,7 @@ import os
 import socket
 import subprocess
 import tempfile
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,8 @@ class RayEngine(Clock):
 
     def wait(self, seconds: float) -> Ended | None:
         """The next one that ends; one whose machine is gone has ended, too."""
-        if not self._running:
+        if not self._running:  # what was lost waits to be begun again
+            time.sleep(seconds)
             return None
         ended, _ = ray.wait(list(self._running), num_returns=1, timeout=seconds)
         if not ended:

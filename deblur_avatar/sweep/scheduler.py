@@ -12,6 +12,9 @@ from typing import Literal, Protocol
 from deblur_avatar.sweep.tasks import Task, Tasks, remaining_path
 
 WAIT = 1.0  # seconds between two looks at the clock while nothing ends
+# Seconds before a lost task is begun again, times how often it was: what its process has left
+# behind may still be ending, and DVC begins no stage that another process holds.
+PAUSE = 3.0
 
 End = Literal["done", "failed", "lost"]
 
@@ -74,6 +77,7 @@ class Progress:
     failed: dict[str, str] = field(default_factory=dict)
     left: set[str] = field(default_factory=set)
     lost: dict[str, int] = field(default_factory=dict)  # how often
+    again: dict[str, float] = field(default_factory=dict)  # when a lost one may begin
     took: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -105,25 +109,29 @@ def work_off(tasks: Tasks, engine: Engine, watch: Watch, retries: int = 2) -> Pr
     progress = Progress(tasks)
     try:
         while progress.waiting or progress.running:
-            for name in sorted(_ready(progress), key=lambda ready: -order[ready]):
+            for name in sorted(_ready(progress, engine.seconds()), key=lambda ready: -order[ready]):
                 if engine.has_room(tasks[name]) or not progress.running:
                     progress.running[name] = engine.seconds()
                     engine.start(tasks[name])
             ended = engine.wait(WAIT)
             if ended:
                 _note(progress, ended, retries)
+                if ended.end == "lost":
+                    pause = PAUSE * progress.lost[ended.name]
+                    progress.again[ended.name] = engine.seconds() + pause
             watch(progress, ended)
     finally:
         engine.stop()
     return progress
 
 
-def _ready(progress: Progress) -> list[str]:
+def _ready(progress: Progress, now: float) -> list[str]:
     tasks = progress.tasks
     return [
         name
         for name in progress.waiting
         if all(needed in progress.done for needed in tasks[name].needs & tasks.keys())
+        and progress.again.get(name, now) <= now
     ]
 
 

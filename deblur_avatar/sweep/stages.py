@@ -42,8 +42,11 @@ class Pipelines:
         wanted = {
             stage for one in asked for stage in (one, *networkx.descendants(self._graph, one))
         }
-        # In the order that `dvc repro` works them off.
-        part = self._graph.subgraph(wanted)
+        # In the order that `dvc repro` works them off; where it is asked for less than half of a
+        # repository's stages, its order is that of a set, another in each process, and this is not.
+        part = networkx.DiGraph()
+        part.add_nodes_from(stage for stage in self._graph if stage in wanted)
+        part.add_edges_from(edge for edge in self._graph.edges if edge[0] in wanted)
         self.stages: list[PipelineStage] = list(networkx.dfs_postorder_nodes(part))
 
     def run_always_changed(self) -> None:
@@ -76,6 +79,12 @@ class Pipelines:
                     command = (*REPRO, name)
                     stale[name] = Task(name, needs, cost.seconds, cost.memory_mb, cores, command)
         return stale
+
+    def pages(self) -> list[Path]:
+        """The pages of reports that there are; pages of single items lie in the cache."""
+        outs = (out for stage in self.stages for out in stage.outs if not out.use_cache)
+        pages = (Path(out.fs_path, "index.html") for out in outs)
+        return [page.relative_to(self.root.resolve()) for page in pages if page.is_file()]
 
     def locks(self) -> dict[Path, list[str]]:
         """The entries of every lock beside these pipelines, in their order."""

@@ -1,12 +1,17 @@
 import contextlib
 import io
+import os
+import pty
 import re
+import select
 import shutil
 import subprocess
+import time
 
 import pytest
 
 from deblur_avatar.cli.main import COMMANDS, main
+from tests.exports.requirement import missing
 
 
 @pytest.fixture(scope="module")
@@ -18,6 +23,11 @@ def scripts():
             assert main(["completion", shell]) == 0
         found[shell] = said.getvalue()
     return found
+
+
+def needed(shell: str) -> None:
+    if shutil.which(shell) is None:
+        missing(f"no {shell}; apt-get install {shell}")
 
 
 def completed(script: str, line: str) -> set[str]:
@@ -51,7 +61,66 @@ def test_bash_knows_every_command(scripts):
 
 def test_zsh_takes_the_function_of_bash(scripts):
     assert scripts["zsh"].startswith("#compdef deblur-avatar\n")
-    assert scripts["zsh"].endswith(scripts["bash"])
+    assert scripts["bash"] in scripts["zsh"]
+
+
+@pytest.mark.parametrize(
+    ("line", "shown"),
+    [
+        ("deblur-avatar vid", "deblur-avatar video "),
+        ("deblur-avatar video --sch", "deblur-avatar video --schedule "),
+        ("deblur-avatar export x --format gl", "deblur-avatar export x --format gltf_"),
+    ],
+)
+def test_zsh_completes_at_the_first_tab(scripts, line, shown, tmp_path):
+    needed("zsh")
+    (tmp_path / "_deblur-avatar").write_text(scripts["zsh"])
+    assert shown in after_a_tab(tmp_path, line, shown)
+
+
+def after_a_tab(folder, line, wanted):
+    """What zsh shows after a line and one Tab, up to what is wanted, or within 20 s."""
+    process, terminal = pty.fork()
+    if process == 0:
+        os.environ.update(TERM="dumb", HOME=str(folder))
+        os.execvp("zsh", ["zsh", "-f", "-i"])
+
+    def seen(wanted):
+        said, end = "", time.monotonic() + 20
+        while wanted not in re.sub("[\a\r]", "", said) and time.monotonic() < end:
+            if select.select([terminal], [], [], 0.1)[0]:
+                said += os.read(terminal, 65536).decode(errors="replace")
+        return re.sub("[\a\r]", "", said)
+
+    begin = f"fpath=({folder} $fpath); autoload -Uz compinit; compinit -u -D; print rea''dy\n"
+    try:
+        os.write(terminal, f"PROMPT=; {begin}".encode())
+        seen("ready")
+        os.write(terminal, f"{line}\t".encode())
+        return seen(wanted)
+    finally:
+        os.close(terminal)  # which ends it
+        os.waitpid(process, 0)
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("deblur-avatar vi", {"video", "view"}),
+        ("deblur-avatar video --sch", {"--schedule"}),
+        ("deblur-avatar export x --format gl", {"gltf_rig", "gltf_splats"}),
+        ("deblur-avatar completion z", {"zsh"}),
+    ],
+)
+def test_fish_completes_commands_options_and_choices(scripts, line, offered, tmp_path):
+    needed("fish")
+    (tmp_path / "script").write_text(scripts["fish"])
+    asked = f"source {tmp_path}/script; complete -C '{line}'"
+    done = subprocess.run(
+        ["fish", "--no-config", "-c", asked],
+        capture_output=True, text=True, check=True, env=os.environ | {"HOME": str(tmp_path)},
+    )  # fmt: skip
+    assert {said.partition("\t")[0] for said in done.stdout.splitlines()} == offered
 
 
 def test_fish_has_a_line_for_every_command_and_option(scripts):
@@ -76,8 +145,7 @@ def test_each_line_for_fish_is_one_command_of_known_options_and_closed_quotes(sc
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_reads_its_script(scripts, shell, tmp_path):
-    if shutil.which(shell) is None:
-        pytest.skip(f"no {shell}")
+    needed(shell)
     path = tmp_path / "script"
     path.write_text(scripts[shell])
     done = subprocess.run([shell, "-n", path], capture_output=True, text=True, check=False)

@@ -6,6 +6,7 @@ import pytest
 from deblur_avatar.animation.amass import read_amass
 from deblur_avatar.cli.main import main
 from deblur_avatar.exports.live_viewer import LiveViewer
+from tests.exports.page_header import header_of
 from tests.exports.requirement import imported
 
 
@@ -29,6 +30,16 @@ def test_a_run_is_written_as_a_page_with_another_beside_it(project):
     assert main([*words, *beside, "--out", "b.html"]) == 0
     assert "anna-lean" not in (project / "a.html").read_text()
     assert "<h1>capsules-lean | anna-lean</h1>" in (project / "b.html").read_text()
+
+
+def test_sharp_frames_that_the_scene_knows_go_on_the_page(project, scene):
+    words = ["export", "capsules-lean", "--format", "page", "--motions", "own", "--out", "a.html"]
+    for known in (False, True):
+        if known:
+            scene.observations.save(project / "data/preprocess/capsules/sharp")
+        assert main(words) == 0
+        header = header_of((project / "a.html").read_bytes())
+        assert ("truth0" in header["arrays"]) == known
 
 
 def test_a_sequence_is_a_folder(project):

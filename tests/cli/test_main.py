@@ -50,6 +50,24 @@ def test_an_interrupted_command_says_that_it_goes_on_and_ends_as_shells_expect(m
     assert "goes on where it stopped" in capsys.readouterr().err
 
 
+def test_a_command_that_is_interrupted_while_torch_is_loaded_says_so_too():
+    program = (
+        "import sys, os, signal, importlib.abc\n"
+        "class Impatient(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'torch': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Impatient())\n"
+        "from deblur_avatar.cli.main import main\n"
+        "raise SystemExit(main(['export', 'x', '--format', 'ply', '--out', 'x.ply']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False,
+        env={"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 130
+    assert done.stderr == "\nStopped. The same command goes on where it stopped.\n"
+
+
 def test_help_lists_all_subcommands_without_loading_torch():
     program = (
         "import sys; from deblur_avatar.cli.main import main\n"

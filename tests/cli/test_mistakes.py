@@ -24,7 +24,8 @@ MANUAL = ROOT / "docs/commands.md"
 class Mistake:
     """What is typed, where, and what comes of it."""
 
-    where: str  # anywhere; a checkout; fitted: a folder with a fitted run
+    # anywhere; a checkout; fitted: a folder with a fitted run; broken: its params.yaml is no YAML
+    where: str
     typed: str
     code: int
     said: str  # a part of the only line, or of usage's last one
@@ -80,6 +81,8 @@ MISTAKES = [
     Mistake("a checkout", "film street --out a.avi", 1, "a video's name ends in .mp4"),
     Mistake("a checkout", "film street", 2, "the following arguments are required: --out"),
     Mistake("anywhere", "export lean --format ply --out a.ply", 1, "should name the run 'lean'"),
+    Mistake("broken", "export . --format ply --out a.ply", 1, "params.yaml is not YAML: while"),
+    Mistake("broken", "view .", 1, "found '<stream end>' in \"<byte string>\", line 1, column 8"),
     Mistake("fitted", "export capsules --format ply --out a.ply", 1, "no run 'capsules' in"),
     Mistake("fitted", "export . --format ply --out a.ply", 1, "has the runs capsules-lean, unmade"),
     Mistake("fitted", "export unmade --format ply --out a.ply", 1, "no avatar/1 in data/fusion"),
@@ -148,6 +151,8 @@ def places(tmp_path, monkeypatch, request):
         (folder / "notes.txt").write_text("no video")
         (folder / "empty.mp4").touch()
         (folder / "texts").mkdir()
+        if where == "broken":
+            (folder / "params.yaml").write_text("runs: [")
         if where == "anywhere":
             write_video(folder / "clip.mp4", [picture(index) for index in range(3)])
 

@@ -25,11 +25,13 @@ def test_runs_of_one_scene_that_have_an_avatar_can_be_chosen(fitting, begin, end
 def test_it_says_how_far_fitting_is(fitting, begin, end):
     begin("warmup", snapshots=(1,), saved=2, seconds=4.0)
     shelf = SceneRuns(fitting, "anna-lean", ["own"])
+    assert shelf.fitting("anna-lean")
     assert shelf.status("anna-lean") == ("Step 2 of 18, about 32 s of fitting left. Shown: step 1.")
     end("warmup")
     assert shelf.status("anna-lean") == "Step 6 of 18."
     end("fusion")
     assert shelf.status("anna-lean") == "Fitted: 18 steps."
+    assert not shelf.fitting("anna-lean")
 
 
 def test_every_avatar_on_the_way_becomes_a_point_of_the_curve_one_a_call(fitting, begin, end):

@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -5,6 +6,7 @@ from typing import Any
 import pytest
 import torch
 
+from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.plain_avatar import PlainAvatar
 from deblur_avatar.config.reading import parse
 from deblur_avatar.exports.exporter import FittedRun
@@ -68,6 +70,22 @@ def fitted_run(observations, swinging) -> Callable[..., FittedRun]:
         return FittedRun(name, model.to_artifact(1), motion, observations, **others)
 
     return make
+
+
+@pytest.fixture
+def sharp(observations) -> Observations:
+    """What the filming camera would have seen with no blur, brighter than what it saw."""
+    lighter = observations.frames.clamp(min=60)
+    return dataclasses.replace(observations, frames=lighter, exposure=0.0)
+
+
+@pytest.fixture
+def page_with_truth(rough, fitted_run, page_exporter, sharp, tmp_path: Path) -> Path:
+    """The page of two avatars whose true frames are known."""
+    path = tmp_path / "truth.html"
+    other = fitted_run(rough("linear"), "capsules-agnostic")
+    page_exporter.export(fitted_run(rough(), sharp=sharp, beside=other), path)
+    return path
 
 
 @pytest.fixture

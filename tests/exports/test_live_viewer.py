@@ -131,6 +131,9 @@ class Offered:
     def status(self, name):
         return f"of {name}"
 
+    def fitting(self, name):
+        return name == "bright"
+
     def curve(self, name):
         if name == "dim":
             raise ArtifactError("no snapshot/1")  # thrown away in between
@@ -149,12 +152,15 @@ def test_another_run_is_shown_once_it_is_chosen(rough, fitted_run, caplog):
     viewer = LiveViewer(runs["dim"], shelf.motions(runs["dim"]), 0, shelf)
     shown = Shown(shelf.motions(runs["dim"])[0], 0.0, 0.0)
     viewer.step()
+    assert viewer.pause_after(0.1) == viewer.pause_after(0.0) < 0.05
     assert "no snapshot/1" in caplog.text
     assert viewer.picture(filming(runs["dim"]), shown, 24).max() < 40
     viewer._name.value = "bright"
     viewer.step()
     viewer.step()
     assert viewer.picture(filming(runs["dim"]), shown, 24).max() > 200
+    assert viewer.pause_after(0.03) == pytest.approx(0.12)  # a fit has four fifths of the time
+    assert 0.12 < viewer.pause_after(9.0) < 0.5
     assert viewer._status.content == "of bright"
     assert [list(column) for column in viewer._curve.data] == [[1, 4], [20, 25]]
     viewer.stop()

@@ -301,6 +301,69 @@ def test_the_filmed_frame_is_matched(open_page, observations):
     assert not frame.is_visible()
 
 
+def corner(image) -> float:
+    """Brightness of the first pixel of a picture on the page, of 255."""
+    return image.evaluate(
+        """(image) => image.decode().then(() => {
+          const canvas = document.createElement("canvas");
+          [canvas.width, canvas.height] = [image.naturalWidth, image.naturalHeight];
+          const context = canvas.getContext("2d");
+          context.drawImage(image, 0, 0);
+          return context.getImageData(0, 0, 1, 1).data[1];
+        })"""
+    )
+
+
+def test_the_sharp_truth_is_matched(page, page_with_truth):
+    opened(page, page_with_truth)
+    truth = page.get_by_role("img", name="The sharp frame at this instant")
+    frame = page.get_by_role("img", name="The blurred frame")
+    assert not truth.is_visible()
+    page.get_by_role("slider", name="Time").fill("0.04")
+    page.get_by_role("slider", name="Shutter").fill("30")
+    page.get_by_role("button", name="Match the sharp truth").click()
+    assert page.get_by_text("Sharp truth, 0.033 s").is_visible()
+    assert state(page)["view"]["filmed"]
+    assert state(page)["shutter"] == 0  # as the sharp frame has none
+    assert not frame.is_visible()
+    page.get_by_role("checkbox", name="Show the filmed frame").check()
+    assert corner(truth) > corner(frame) + 30
+    left = [part.bounding_box()["x"] for part in (frame, *canvas(page).all(), truth)]
+    assert left == sorted(left)
+    page.wait_for_timeout(SETTLED)
+    opened(page, page_with_truth, "#" + page.url.partition("#")[2])
+    assert truth.is_visible()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save picture").click()
+    saved = np.asarray(Image.open(download.value.path())).astype(int)
+    assert saved[-1, -1, :3] == pytest.approx([60] * 3, abs=9)  # the truth, last of all
+    assert saved[-1, 0, :3] == pytest.approx([0] * 3, abs=9)
+    page.get_by_role("checkbox", name="Show the sharp truth").uncheck()
+    assert not truth.is_visible()
+
+
+def test_where_no_truth_is_known_nothing_offers_it(page, page_file):
+    opened(page, page_file, "#truth=1")
+    assert not state(page)["truth"]
+    for offer in ("Show the sharp truth", "Match the sharp truth"):
+        assert not page.get_by_text(offer).is_visible()
+
+
+def test_on_a_phone_more_than_two_pictures_take_two_rows(browser, page_with_truth):
+    with silent_page(browser, 390, 844) as page:
+        opened(page, page_with_truth, "#truth=1&frame=1")
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        boxes = [figure.bounding_box() for figure in page.locator("figure").all()]
+        assert len(boxes) == 4
+        assert all(box["width"] > 190 and box["height"] > 150 for box in boxes)
+        assert len({round(box["y"]) for box in boxes}) == 2
+        page.get_by_role("checkbox", name="Show the filmed frame").uncheck()
+        page.get_by_role("checkbox", name="Show capsules-agnostic beside it").uncheck()
+        boxes = [f.bounding_box() for f in page.locator("figure:not([hidden])").all()]
+        assert [round(box["y"]) for box in boxes] == [round(boxes[0]["y"])] * 2
+        assert all(box["height"] > 300 for box in boxes)
+
+
 def test_two_avatars_share_one_camera(page, rough, fitted_run, page_exporter, tmp_path):
     other = fitted_run(rough("linear"), "capsules-agnostic")
     page_exporter.export(fitted_run(rough(), beside=other), tmp_path / "two.html")

@@ -14,29 +14,30 @@ from deblur_avatar.avatars.networks_avatar import NetworksAvatar
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.page.packing import influences, packed_text, quantised, signed
 from tests.exports import browser
+from tests.exports.page_header import header_of
 
 MOST_BYTES = 500_000  # for 8,000 Gaussians and two motions
 
 
-def header_of(page: bytes) -> dict:
-    (text,) = re.findall(rb'octet-stream">([^<]*)</script>', page)
-    content = gzip.decompress(base64.b64decode(text))
-    return json.loads(content[4 : 4 + int.from_bytes(content[:4], "little")])
-
-
-def test_a_page_of_8000_gaussians_and_two_motions_is_small(rough, fitted_run, page_exporter):
+def test_a_page_of_8000_gaussians_and_two_motions_is_small(
+    rough, fitted_run, page_exporter, make_observations
+):
     exporter = page_exporter.model_copy(update={"seconds": 4.0, "pictures": 5})
-    page = exporter.page([fitted_run(rough(count=8000))])
+    filmed = make_observations(size=192)
+    run = dataclasses.replace(fitted_run(rough(count=8000)), observations=filmed, sharp=filmed)
+    page = exporter.page([run])
+    assert {"frame4", "truth4"} < header_of(page)["arrays"].keys()
     assert header_of(page)["avatars"][0]["count"] == 8000
     assert len(header_of(page)["avatars"][0]["motions"]) == 2
     assert len(page) < MOST_BYTES
 
 
 def test_the_same_run_gives_the_same_bytes_and_another_gives_others(
-    rough, fitted_run, page_exporter, tmp_path
+    rough, fitted_run, page_exporter, sharp, tmp_path
 ):
     for name, space in (("a", "srgb"), ("b", "srgb"), ("c", "linear")):
-        page_exporter.export(fitted_run(rough(space)), tmp_path / f"{name}.html")
+        run = fitted_run(rough(space), sharp=sharp)
+        page_exporter.export(run, tmp_path / f"{name}.html")
     first, again, other = ((tmp_path / f"{name}.html").read_bytes() for name in "abc")
     assert first == again
     assert first != other

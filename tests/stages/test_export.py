@@ -1,5 +1,6 @@
 import pytest
 
+from tests.exports.page_header import header_of
 from tests.stages.running import run_script
 
 PARAMS = """\
@@ -17,12 +18,13 @@ def run_stage(tmp_path, scene):
     scene.observations.save(tmp_path / "observations")
     scene.avatar.save(tmp_path / "fusion/avatar")
     scene.motion.save(tmp_path / "fusion/motion")
+    (tmp_path / "sharp").mkdir()  # as preprocess leaves it where no sharp frames are known
 
     def run(motion):
         (tmp_path / "params.yaml").write_text(PARAMS.replace("MOTION", motion))
         options = {
             "name": "capsules-lean", "observations": tmp_path / "observations",
-            "fusion": tmp_path / "fusion", "out": tmp_path / "out",
+            "sharp": tmp_path / "sharp", "fusion": tmp_path / "fusion", "out": tmp_path / "out",
             "params_file": tmp_path / "params.yaml",
         }  # fmt: skip
         return run_script("export", **options)
@@ -36,6 +38,15 @@ def test_it_writes_the_files_of_its_section(run_stage, tmp_path):
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [
         "avatar.html", "motion.npz",
     ]  # fmt: skip
+
+
+def test_sharp_frames_that_are_known_go_on_the_page(run_stage, tmp_path, scene):
+    for known in (False, True):
+        if known:
+            scene.observations.save(tmp_path / "sharp")
+        assert run_stage("own").returncode == 0
+        header = header_of((tmp_path / "out/avatar.html").read_bytes())
+        assert ("truth1" in header["arrays"]) == known
 
 
 def test_a_missing_motion_ends_with_one_line(run_stage):

@@ -145,6 +145,24 @@ def test_only_evaluation_and_the_learning_curve_depend_on_the_reference():
     assert readers == named == {"evaluate", "learning_curve"}
 
 
+def test_only_scores_and_pages_depend_on_sharp_frames_by_name():
+    """Fits see them where a run says so, which the two tests of runs below hold."""
+    for path in PIPELINES:
+        readers = {
+            name
+            for name, stage in stages(path).items()
+            if any(re.search("/(sharp|exact)$", dep) for dep in paths_in(stage, "deps"))
+        }
+        assert readers <= {"score_predeblur", "export"}, path
+
+
+def test_nothing_that_is_fitted_or_scored_depends_on_an_export():
+    for path in PIPELINES:
+        for name, stage in stages(path).items():
+            exported = [dep for dep in paths_in(stage, "deps") if dep.startswith("data/export")]
+            assert not exported or name == "report", path
+
+
 def test_fitting_depends_on_nothing_of_the_clip():
     for name in ("warmup", "trajectory", "fusion", "animate", "export"):
         deps = paths_in(STAGES[name], "deps")

@@ -19,7 +19,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ CASES = "experiments/cases/params.yaml"
 SCENES = ("studio", "linear", "unfitted")
 METHODS = ("agnostic", "paper", "no_fusion", "cubic", "mad", "mad_literal", "network", "lean")
 SIZE = {
-    "warmup": 200, "trajectory": 500, "fusion": 1000, "gaussians": 2000, "image_height": 96,
+    "warmup": 100, "trajectory": 250, "fusion": 500, "gaussians": 2000, "image_height": 96,
     "levels": [],
 }  # fmt: skip
 # What a clock says, and locks, which hold its hash.
@@ -49,13 +49,13 @@ CLOCKS = ("metrics/cost", "dvc.lock")
 logger = logging.getLogger(__name__)
 
 
-def begin(root: Path) -> None:
-    """A clone of what is committed, with the grid, and all that its fits see made."""
+def begin(root: Path, names: Sequence[str]) -> None:
+    """A clone of what is committed, with the grid of some scenes, and all that its fits see."""
     called(root.parent, "git", "clone", "-q", str(ROOT), str(root))
     cases = yaml.safe_load((ROOT / CASES).read_text())
     footage = root / "footage"
     write_footage(footage)
-    scenes = {name: cases["scenes"][name] for name in SCENES}
+    scenes = {name: cases["scenes"][name] for name in names}
     for scene in scenes.values():
         scene["clip"]["image_size"] = SIZE["image_height"]
     body = {**cases["bodies"]["capsules"], "file": "../../footage/SMPL_NEUTRAL.npz"}
@@ -67,10 +67,10 @@ def begin(root: Path) -> None:
         "scenes": scenes,
         "checks": [],
         "predeblur": {},
-        "warmups": {f"{scene}-blurred-lean": fit(scene) for scene in SCENES},
+        "warmups": {f"{scene}-blurred-lean": fit(scene) for scene in names},
         "runs": {
             f"{scene}-{method}": fit(scene) | {"method": method}
-            for scene in SCENES
+            for scene in names
             for method in METHODS
         },
         "learning_curves": {}, "self_checks": {}, "exports": {}, "animations": {}, "reports": [],
@@ -113,7 +113,7 @@ def told(progress: Progress, ended: Ended | None) -> None:
 
 
 def on_a_cluster(root: Path) -> Progress:
-    """Two raylets; one is gone once half of the tasks are done."""
+    """Two raylets; one is gone once half of the tasks are done, while both are at work."""
     from ray.cluster_utils import Cluster
 
     from deblur_avatar.sweep.ray_engine import RayEngine
@@ -124,7 +124,8 @@ def on_a_cluster(root: Path) -> Progress:
 
     def watch(progress: Progress, ended: Ended | None) -> None:
         told(progress, ended)
-        if others and 2 * len(progress.done) >= len(progress.tasks):
+        at_work = ended is None and len(progress.running) == 2
+        if others and at_work and 2 * len(progress.done) >= len(progress.tasks):
             cluster.remove_node(others.pop(), allow_graceful=False)
 
     try:
@@ -154,9 +155,9 @@ def fit_seconds(root: Path) -> float:
     return float(sum(json.loads(path.read_text())["seconds"] for path in files))
 
 
-def ways(folder: Path, asked: list[str]) -> dict[str, Any]:
+def ways(folder: Path, asked: Sequence[str], scenes: Sequence[str]) -> dict[str, Any]:
     """Run the grid in every way, each in a copy of its own with a cache of its own."""
-    begin(folder / "begun")
+    begin(folder / "begun", scenes)
     found: dict[str, Any] = {}
     for name in asked:
         root = Path(shutil.copytree(folder / "begun", folder / name, symlinks=True))
@@ -173,7 +174,7 @@ def ways(folder: Path, asked: list[str]) -> dict[str, Any]:
     return found
 
 
-def differing(folder: Path, asked: list[str]) -> dict[str, list[str]]:
+def differing(folder: Path, asked: Sequence[str]) -> dict[str, list[str]]:
     """Files of each way that are not those of the first."""
     first, *others = (written(folder / name) for name in asked)
     return {
@@ -192,10 +193,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, help="write there, too")
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES, help="8 fits each")
     asked = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     with tempfile.TemporaryDirectory() as folder:
-        found = ways(Path(folder), asked.ways)
+        found = ways(Path(folder), asked.ways, asked.scenes)
         differences = differing(Path(folder), asked.ways)
         files = len(written(Path(folder) / asked.ways[0]))
         os.chdir(ROOT)

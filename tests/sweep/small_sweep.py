@@ -53,6 +53,15 @@ stages:
       outs:
         - data/score/${key}
         - metrics/score/${key}.json: {cache: false}
+  report:
+    foreach: ${reports}
+    do:
+      cmd: >-
+        python -c "import pathlib; folder = pathlib.Path('${item}'); folder.mkdir();
+        (folder / 'index.html').write_text(str(sorted(pathlib.Path('metrics').rglob('*.json'))))"
+      deps: [metrics]
+      outs:
+        - ${item}: {cache: false}
 """
 PARAMS = """\
 from: {root: ROOT}
@@ -61,6 +70,7 @@ runs:
   NAME_one: {warm: NAME_a, size: 0}
   NAME_two: {warm: NAME_a}
   NAME_three: {warm: NAME_b}
+reports: [REPORTS]
 """
 # A stage that says what it is doing in `begun/`, and does what a file of its name in `told/` says.
 GROW = """\
@@ -89,6 +99,7 @@ out.mkdir(parents=True)
 metrics.parent.mkdir(parents=True, exist_ok=True)
 metrics.write_text(json.dumps({'length': len(text)}))
 """
+# The root has more than half of all stages: only then is the order of `dvc repro` always the same.
 FOLDERS = ("", "experiments/more")
 
 
@@ -97,13 +108,16 @@ def begin_project(root: Path) -> None:
     files = {
         "stages/grow.py": GROW,
         "stages/code.py": (ROOT / "stages/code.py").read_text(),
-        ".gitignore": "code.json\ndata/\nmetrics/\nbegun/\ntold/\n",
+        ".gitignore": "code.json\ndata/\nmetrics/\nreports/\nbegun/\ntold/\n",
     }
     for folder in FOLDERS:
         up = "../.." if folder else "."
         name = Path(folder).name or "root"
         files[str(Path(folder, "dvc.yaml"))] = STAGES
-        files[str(Path(folder, "params.yaml"))] = PARAMS.replace("ROOT", up).replace("NAME", name)
+        params = PARAMS.replace("ROOT", up).replace("NAME", name)
+        files[str(Path(folder, "params.yaml"))] = params.replace(
+            "REPORTS", "" if folder else "reports"
+        )
     begin(root, files)
     commit(root)
 

@@ -45,7 +45,8 @@ def serial(made, tmp_path_factory) -> dict[str, bytes]:
 def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, serial):
     done = swept(project, "dvc.yaml", MORE, "--at-once", "3")
     assert done.returncode == 0, done.stderr
-    assert "16 of 16 tasks done" in done.stdout
+    assert "17 of 17 tasks done" in done.stdout
+    assert "tables and charts: reports/index.html\n" in done.stdout
     assert results(project) == serial
     again = swept(project, "dvc.yaml", MORE)
     assert "0 of 0 tasks done" in again.stdout
@@ -66,7 +67,7 @@ def test_a_killed_stage_is_begun_again_and_a_failed_one_leaves_the_rest(
     assert begun(project, "root_one") == ["fit", "fit", "score"]
     assert begun(project, "root_two") == ["fit"]
     tell(project, "fit-root_two", "")
-    assert "2 of 2 tasks done" in swept(project, "dvc.yaml").stdout
+    assert "3 of 3 tasks done" in swept(project, "dvc.yaml").stdout
     assert results(project).keys() == {name for name in serial if not name.startswith(MORE)}
 
 
@@ -161,7 +162,7 @@ def test_a_plan_says_what_it_takes_and_runs_nothing(project):
     (project / REMEMBERED).write_text(json.dumps({"fit@root_one": 3600.0, "score@x": 97.0}))
     done = swept(project, "dvc.yaml", "--plan", "1", "4")
     assert done.returncode == 0, done.stderr
-    assert "8 tasks; the longest chain of them takes 1.04 hours." in done.stdout
+    assert "9 tasks; the longest chain of them takes 1.04 hours." in done.stdout
     assert done.stdout.count("\n|") + done.stdout.startswith("|") == 4
     assert not (project / "begun").exists()
 

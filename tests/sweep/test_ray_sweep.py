@@ -50,6 +50,6 @@ def test_a_machine_that_goes_away_costs_its_task_alone(made, tmp_path, monkeypat
         cluster.shutdown()
     pipelines.put_in_order(before)
     assert progress.failed == {}
-    assert len(progress.done) == 8
+    assert len(progress.done) == 9
     assert sum(progress.lost.values()) == 1
     assert results(project) == results(serial)

@@ -24,6 +24,7 @@ class Driven:
     def __init__(self, room: int, end_of: Callable[[str, int], str]) -> None:
         self.room, self.end_of = room, end_of
         self.begun: list[str] = []
+        self.clock = 0.0
         self.running: list[str] = []
         self.stopped = False
 
@@ -35,12 +36,15 @@ class Driven:
         self.running.append(task.name)
 
     def wait(self, seconds: float) -> Ended | None:
+        self.clock += seconds
+        if not self.running:
+            return None
         name = self.running.pop(0)
         end = self.end_of(name, self.begun.count(name))
         return Ended(name, end, "said", "here", 2.0)  # type: ignore[arg-type]
 
     def seconds(self) -> float:
-        return 0.0
+        return self.clock
 
     def stop(self) -> None:
         self.stopped = True
@@ -95,6 +99,19 @@ def test_a_lost_task_is_begun_again_so_often_and_no_more(times, ends_well):
     assert engine.begun.count("b") == min(times + 1, 3)
     assert ("b" in progress.done) is ends_well
     assert progress.left == (set() if ends_well else {"d"})
+
+
+def test_a_lost_task_waits_longer_each_time_and_holds_up_no_other():
+    engine, began = Driven(1, lambda name, time: "lost" if time <= 2 else "done"), []
+    start = engine.start
+
+    def noted(task: Task) -> None:
+        began.append((task.name, engine.clock))
+        start(task)
+
+    engine.start = noted  # type: ignore[method-assign]
+    work_off(graph(task("a", seconds=2), task("b")), engine, unseen, retries=2)
+    assert began == [("a", 0), ("b", 1), ("a", 4), ("b", 5), ("a", 11), ("b", 12)]
 
 
 def test_the_engine_is_stopped_when_the_watch_raises():

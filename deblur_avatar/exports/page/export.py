@@ -25,12 +25,12 @@ SCRIPTS = (
 
 
 class PageExport(MotionExport):
-    """Which motions the avatar can be shown in, and how many filmed frames go with it."""
+    """Which motions the avatar can be shown in, and of how many instants frames go with it."""
 
     suffix: ClassVar[str] = ".html"
 
     format: Literal["page"]
-    pictures: Annotated[int, Field(ge=0)]  # filmed frames, evenly spaced
+    pictures: Annotated[int, Field(ge=0)]  # instants whose frames go along, evenly spaced
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the page of a run, and of the one beside it, if there is one."""

@@ -10,7 +10,7 @@ class Page {
   constructor(content) {
     this.content = content;
     this.state = stateOfLink(location.hash, content);
-    this.stage = new Stage(content, [...document.querySelectorAll(".avatar")], $("filmed"));
+    this.stage = new Stage(content, [...document.querySelectorAll(".avatar")], $("filmed"), $("true"));
     this.recording = false;
     this.asked = false; // for a frame
     this.fill();
@@ -80,6 +80,7 @@ class Page {
     $("beside-row").hidden = avatars.length < 2;
     $("beside-name").textContent = avatars[1]?.name ?? "";
     $("frame-row").hidden = $("match").hidden = frames.length === 0;
+    $("truth-row").hidden = $("match-truth").hidden = !hasTruth(this.content);
   }
 
   fillMotions() {
@@ -95,14 +96,14 @@ class Page {
     $("speed").onchange = () => this.show({ speed: Number($("speed").value) });
     $("shutter").oninput = () => this.show({ shutter: Number($("shutter").value) / 1000 });
     $("background").onchange = () => this.show({ background: $("background").value });
-    $("frame").onchange = () => this.show({ frame: $("frame").checked });
-    $("beside").onchange = () => this.show({ beside: $("beside").checked });
+    for (const id of ["frame", "truth", "beside"]) $(id).onchange = () => this.show({ [id]: $(id).checked });
     for (const button of document.querySelectorAll("[data-azimuth]")) {
       const azimuth = (Number(button.dataset.azimuth) * Math.PI) / 180;
       button.onclick = () => this.show({ view: { ...startingView(content.scene), azimuth } });
     }
     $("filming").onclick = () => this.show({ view: { ...this.state.view, filmed: true } });
-    $("match").onclick = () => this.match();
+    $("match").onclick = () => this.match({ shutter: content.scene.exposure, frame: true });
+    $("match-truth").onclick = () => this.match({ shutter: 0, truth: true });
     $("save").onclick = () => this.save();
     for (const id of Object.keys(RECORDINGS)) $(id).onclick = () => this.record(id);
     $("link").onclick = () => this.copyLink();
@@ -158,13 +159,13 @@ class Page {
     this.show({ playing: false, seconds: times[next < 0 ? (direction > 0 ? last : 0) : next] });
   }
 
-  // As the filming camera saw the nearest filmed frame, blur and all.
-  match() {
-    const { frames, scene, avatars } = this.content;
+  // Where the filming camera was at the nearest filmed frame, with the shutter and the picture of `changes`.
+  match(changes) {
+    const { frames, avatars } = this.content;
     const { seconds } = frames[frameAt(this.content, this.state.seconds)];
     const view = { ...this.state.view, filmed: true };
     const motion = avatars[0].motions[0].name;
-    this.show({ motion, seconds, shutter: scene.exposure, view, frame: true, playing: false, bends: {} });
+    this.show({ motion, seconds, view, playing: false, bends: {}, ...changes });
   }
 
   bend() {
@@ -180,8 +181,7 @@ class Page {
     $("speed").value = String(state.speed);
     $("shutter").value = 1000 * state.shutter;
     $("shutter-shown").textContent = state.shutter ? `${(1000 * state.shutter).toFixed(0)} ms` : "none";
-    $("frame").checked = state.frame;
-    $("beside").checked = state.beside;
+    for (const id of ["frame", "truth", "beside"]) $(id).checked = state[id];
     $("play").textContent = state.playing ? "Pause" : "Play";
     $("play").disabled = $("time").disabled = duration === 0;
     $("time").max = duration;

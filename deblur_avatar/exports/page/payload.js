@@ -19,7 +19,7 @@ async function readPayload(text) {
   return {
     ...header,
     avatars: header.avatars.map((avatar, index) => readAvatar(avatar, arrays, `avatar${index}.`)),
-    frames: header.frames.map((frame, index) => ({ ...frame, file: arrays[`frame${index}`] })),
+    frames: header.frames.map((frame, index) => ({ ...frame, file: arrays[`frame${index}`], truth: arrays[`truth${index}`] })),
   };
 }
 

@@ -1,4 +1,5 @@
-// Stage: one canvas an avatar, drawn as fast as the machine can, and a picture of all of them.
+// Stage: one canvas an avatar, drawn as fast as the machine can, pictures of the filming camera beside them,
+// and one picture of all that is shown.
 
 const SLOW = 50; // milliseconds a frame, over which pictures get coarser
 const QUICK = 24; // and under which they get finer again
@@ -7,8 +8,8 @@ const PATIENCE = 800; // milliseconds that a still exposure may take
 const REST = 250; // milliseconds without a change, after which the whole resolution is drawn
 
 class Stage {
-  constructor(content, panes, frame) {
-    [this.content, this.frame] = [content, frame];
+  constructor(content, panes, filmed, sharp) {
+    this.content = content;
     this.panes = content.avatars.map((avatar, index) => ({
       avatar,
       figure: panes[index],
@@ -18,7 +19,8 @@ class Stage {
     this.sharpness = 1; // of pixels while something moves
     this.cost = 100; // milliseconds an instant at the resolution of the screen, once one is drawn
     this.instants = MOST_INSTANTS.moving; // of an exposure then
-    this.frames = content.frames.map(({ file, kind }) => URL.createObjectURL(new Blob([file], { type: kind })));
+    this.filmed = { figure: filmed, asked: "frame", links: content.frames.map(({ file, kind }) => linkTo(file, kind)) };
+    this.sharp = { figure: sharp, asked: "truth", links: content.frames.map(({ truth, kind }) => linkTo(truth, kind)) };
   }
 
   // Draws all panes as well as the machine can follow while something moves.
@@ -53,16 +55,29 @@ class Stage {
 
   layOut(state) {
     this.panes.forEach(({ figure }, index) => (figure.hidden = index > 0 && !state.beside));
-    this.frame.hidden = !state.frame;
-    if (!state.frame) return;
+    for (const taken of [this.filmed, this.sharp]) this.showTaken(taken, state);
+    const shown = this.shown();
+    shown[0].figure.parentElement.classList.toggle("many", shown.length > 2);
+  }
+
+  // Of pictures that the filming camera took, the one nearest in time.
+  showTaken({ figure, asked, links }, state) {
+    figure.hidden = !state[asked];
+    if (figure.hidden) return;
     const index = frameAt(this.content, state.seconds);
-    const image = this.frame.querySelector("img");
+    const image = figure.querySelector("img");
     if (image.dataset.index !== String(index)) {
       image.dataset.index = index;
-      image.src = this.frames[index];
+      image.src = links[index];
     }
     const { number, seconds } = this.content.frames[index];
-    this.frame.querySelector("figcaption").textContent = `Filmed frame ${number}, ${seconds.toFixed(3)} s`;
+    const what = asked === "frame" ? `Filmed frame ${number}` : "Sharp truth";
+    figure.querySelector("figcaption").textContent = `${what}, ${seconds.toFixed(3)} s`;
+  }
+
+  // From left to right.
+  shown() {
+    return [this.filmed, ...this.panes, this.sharp].filter(({ figure }) => !figure.hidden);
   }
 
   // Coarser or finer pixels, then fewer or more instants, after a frame that took so many milliseconds.
@@ -77,11 +92,8 @@ class Stage {
   // All that is shown, side by side on one canvas, at the resolution of the screen.
   picture(state, canvas) {
     this.draw(state, 1, MOST_INSTANTS.still);
-    const shown = [
-      ...(state.frame ? [this.frame.querySelector("img")] : []),
-      ...this.panes.filter(({ figure }) => !figure.hidden).map((pane) => pane.canvas),
-    ];
-    const height = shown[shown.length - 1].height;
+    const shown = this.shown().map(({ figure }) => figure.querySelector("img, canvas"));
+    const { height } = this.panes[0].canvas;
     const widths = shown.map((one) => Math.round((height * (one.naturalWidth ?? one.width)) / (one.naturalHeight ?? one.height)));
     const width = widths.reduce((sum, one) => sum + one, 0);
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -94,4 +106,9 @@ class Stage {
     });
     return canvas;
   }
+}
+
+// An address for a file of the payload; of none where the payload lacks it.
+function linkTo(file, kind) {
+  return file && URL.createObjectURL(new Blob([file], { type: kind }));
 }

@@ -1,8 +1,8 @@
 // State: what is shown, as one plain object, and the link that holds it.
 //
 // motion: its name; seconds: of the motion; shutter: seconds it is open; speed: times real time;
-// background: dark, light or transparent; view: view.js; bends: kinematics.js; frame, beside: whether the
-// filmed frame and the second avatar are shown.
+// background: dark, light or transparent; view: view.js; bends: kinematics.js; frame, truth, beside: whether the
+// filmed frame, the sharp one of the same instant and the second avatar are shown.
 
 const BACKGROUNDS = { dark: [0.07, 0.08, 0.1], light: [1, 1, 1], transparent: null };
 const PIXELS_AN_INSTANT = 3; // that a joint moves at most between two instants of an exposure
@@ -17,6 +17,7 @@ function startingState(content) {
     background: "dark",
     playing: false,
     frame: false,
+    truth: false,
     beside: content.avatars.length > 1,
     bends: {},
     view: startingView(content.scene),
@@ -35,7 +36,7 @@ function linkOf(state) {
   });
   if (view.filmed) words.set("view", "filmed");
   else words.set("view", [view.azimuth, view.elevation, view.distance, ...view.target].map((x) => x.toFixed(4)).join(","));
-  if (state.frame) words.set("frame", "1");
+  for (const name of ["frame", "truth"]) if (state[name]) words.set(name, "1");
   if (!state.beside) words.set("beside", "0");
   for (const [joint, degrees] of Object.entries(state.bends)) words.append("bend", [joint, ...degrees].join(","));
   return `#${words}`;
@@ -62,6 +63,7 @@ function stateOfLink(fragment, content) {
     state.view = { azimuth, elevation, distance, target, filmed: false };
   }
   state.frame = words.get("frame") === "1" && content.frames.length > 0;
+  state.truth = words.get("truth") === "1" && hasTruth(content);
   state.beside = words.get("beside") !== "0" && content.avatars.length > 1;
   for (const bend of words.getAll("bend")) {
     const [joint, ...degrees] = bend.split(",").map(Number);
@@ -76,6 +78,10 @@ function motionOf(avatar, name) {
 
 function durationOf(motion) {
   return motion.times[motion.times.length - 1];
+}
+
+function hasTruth(content) {
+  return content.frames.some(({ truth }) => truth);
 }
 
 // The filmed frame nearest to a time.
