@@ -18,7 +18,8 @@ _LIMBS = {
     "elbow": ("forearm", "elbow", "lowerarm", "lowarm"),
     "wrist": ("hand", "wrist"),
 }
-_NAMES = {
+# By SMPL's name, without case and punctuation.
+NAMES = {
     "pelvis": ("hips", "pelvis", "hip", "root"),
     "head": ("head",),
     **{
@@ -45,11 +46,11 @@ def recognise(names: Sequence[str], parents: Sequence[int]) -> dict[str, int]:
     """
     plain = [re.sub(r"[^a-z0-9]", "", name.rsplit(":", 1)[-1].lower()) for name in names]
     found = {}
-    for joint, forms in _NAMES.items():
+    for joint, forms in NAMES.items():
         index = next((plain.index(form) for form in forms if form in plain), None)
         if index is not None:
             found[joint] = index
-    missing = [joint for joint in _NAMES if joint not in found]
+    missing = [joint for joint in NAMES if joint not in found]
     if missing:
         raise ArtifactError(
             f"the skeleton has no joint for {', '.join(missing)}; it has {', '.join(names)}. "

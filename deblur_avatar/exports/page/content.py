@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deblur_avatar.animation.placement import mean_pelvis, stage_rotation
 from deblur_avatar.animation.retargeting import MIN_BEND, STANDING
-from deblur_avatar.animation.rig_names import _NAMES as RIG_NAMES
+from deblur_avatar.animation.rig_names import NAMES as RIG_NAMES
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.errors import ConfigError
