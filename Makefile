@@ -3,9 +3,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-# For two cores: a fifth of the tests' time is waiting, for processes and browsers.
-WORKERS ?= 3
-PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal
+WORKERS ?= 2
+PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS)
 
 .PHONY: setup repro avatar check proof stability test test-portable fuzz bench code relock readme clean-cache
 
