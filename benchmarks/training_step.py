@@ -51,7 +51,7 @@ from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
-from deblur_avatar.parameters import MethodParams
+from deblur_avatar.methods import MethodParams
 from deblur_avatar.pipeline.fusion import FusedParams, network_params, new_network
 from deblur_avatar.pipeline.trajectory import new_trajectory
 from deblur_avatar.run import stage

@@ -8,16 +8,15 @@ from deblur_avatar.config.reading import read_params, section_of
 from deblur_avatar.config.runs import RunParams, WarmupParams
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.methods import MethodParams
 from deblur_avatar.pipeline.animate import AnimationParams
 from deblur_avatar.pipeline.blur import BlurParams
 from deblur_avatar.pipeline.body import BodyParams
 from deblur_avatar.pipeline.check import CheckParams
 from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.pipeline.export import ExportsParams
-from deblur_avatar.pipeline.fusion import FusionParams
 from deblur_avatar.pipeline.predeblur import PredeblurParams
 from deblur_avatar.pipeline.preprocess import PreprocessParams
-from deblur_avatar.pipeline.trajectory import TrajectoryParams
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
@@ -41,13 +40,6 @@ class PlacesParams(Params):
     avatars: str
     methods: str
     check: str
-
-
-class MethodParams(Params):
-    """A row of every table."""
-
-    trajectory: TrajectoryParams
-    fusion: FusionParams
 
 
 # Folders below `metrics/` that belong to stages; beside them lies one folder a scene.

@@ -15,7 +15,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.parameters import MethodParams
+from deblur_avatar.methods import MethodParams
 from deblur_avatar.pipeline.fusion import fuse, new_network
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up

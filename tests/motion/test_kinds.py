@@ -13,9 +13,9 @@ from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.evaluation.reblur import poses_of_exposure, reblur
 from deblur_avatar.geometry.rotations import axis_angle_to_quat
+from deblur_avatar.methods import MethodParams
 from deblur_avatar.motion.kinds import KINDS, kind_of, trajectory_from_artifact
 from deblur_avatar.motion.trajectory import Instants, MotionParams, Trajectory
-from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.fusion import fuse
 from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up

@@ -18,8 +18,8 @@ from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.ply import PlyExport
 from deblur_avatar.exports.registry import EXPORTERS, ExportParams
 from deblur_avatar.library import animate
+from deblur_avatar.methods import MethodParams
 from deblur_avatar.motion.kinds import KINDS
-from deblur_avatar.parameters import MethodParams
 from deblur_avatar.pipeline.clip import ClipParams, load_clip
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.pipeline.fusion import fuse
