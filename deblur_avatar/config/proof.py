@@ -18,14 +18,24 @@ from deblur_avatar.errors import ConfigError
 PIPELINE = "scene.dvc.yaml"  # what each scene's pipeline is a copy of
 WRITTEN = "Written by `make code` from what params.yaml says above."
 # What may be a column: tables have all of them, fitted or not.
-MOTIONS = ("agnostic", "pair", "paper", "mad", "clip", "oracle", "oracle_clip", "ceiling")
+MOTIONS = (
+    "agnostic",
+    "deblurred",
+    "pair",
+    "paper",
+    "mad",
+    "clip",
+    "oracle",
+    "oracle_clip",
+    "ceiling",
+)
 FLOOR = "agnostic"  # the motion whose fit a warm-up's cost is a share of
 
 
 class ColumnParams(Params):
     """One column of the grid: a method of the shared file, and what it sees."""
 
-    observations: Literal["exact", "sharp", "blurred"]
+    observations: Literal["exact", "sharp", "blurred", "deblurred"]
     method: str
 
 
@@ -206,11 +216,13 @@ def items_of_scene(plan: ProofParams, scene: str) -> dict[str, Any]:
     cells = [cell for cell in cells_of(plan).values() if cell.scene == scene]
     here = plan.scenes[scene].filmed == "here"
     data = f"experiments/proof/data/{scene}"
+    seen = {plan.columns[cell.motion].observations for cell in cells}
     return {
         "scene": scene,
         "observed": f"{data}/preprocess" if here else f"data/preprocess/{scene}",
         "reference": f"{data}/clip/reference" if here else f"data/clip/{scene}/reference",
         "filmed": [scene] if here else [],
+        "deblurred": [scene] if here and "deblurred" in seen else [],
         "warmups": {
             warmup_of(cell, plan): {
                 "avatar": plan.avatars[cell.avatar],

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.errors import ArtifactError
+from deblur_avatar.config.reading import parse
+from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import write_picture
-from deblur_avatar.pipeline.predeblur import PredeblurParams, predeblur
+from deblur_avatar.pipeline.predeblur import PredeblurParams, clips_of, predeblur
 from deblur_avatar.pipeline.score_predeblur import score_predeblur
 
-PARAMS = PredeblurParams(
-    given="", lengths=(3.0, 5.0), angles=4, regularisation=0.002, window_sigma=3.0, gain=0.05
-)
+MATTE = {
+    "kind": "matte", "lengths": (3.0, 5.0), "angles": 4, "regularisation": 0.002,
+    "window_sigma": 3.0, "gain": 0.05,
+}  # fmt: skip
+PARAMS = PredeblurParams(given="", deblurrer=MATTE)
 
 
 def smeared(stack: torch.Tensor, length: int = 5) -> torch.Tensor:
@@ -80,13 +83,50 @@ def test_given_frames_are_taken_as_they_are(sharp, blurred, tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("count", "size", "complaint"), [(3, 64, "holds 3"), (4, 32, "32 x 32 pixels")]
+    ("count", "size", "complaint"),
+    [(3, 64, "predeblur.given: .* holds 3"), (4, 32, "32 x 32 pixels")],
 )
 def test_given_frames_must_be_those_of_the_observations(blurred, tmp_path, count, size, complaint):
     for index in range(count):
         write_picture(tmp_path / f"{index}.png", np.zeros((size, size, 3), np.uint8))
     with pytest.raises(ArtifactError, match=complaint):
         predeblur(blurred, PARAMS.model_copy(update={"given": str(tmp_path)}))
+
+
+def test_fitted_frames_are_deblurred_without_those_that_are_kept_from_fitting(blurred):
+    assert clips_of(dataclasses.replace(blurred, train=(0, 2), validation=(1,))) == [
+        slice(0, 3), slice(3, 4),
+    ]  # fmt: skip
+    assert clips_of(dataclasses.replace(blurred, train=(2, 3), validation=())) == [
+        slice(0, 2), slice(2, 4),
+    ]  # fmt: skip
+    assert clips_of(dataclasses.replace(blurred, train=(0, 1, 2, 3), validation=())) == [
+        slice(0, 4)
+    ]
+
+
+def test_the_network_that_is_shipped_sharpens_a_section_that_asks_for_it(blurred):
+    """As a user asks for it: by a section of parameters alone."""
+    network = {"kind": "dstnet_small", "weights": "", "frames_at_once": 30}
+    params = parse(PredeblurParams, {"given": "", "deblurrer": network}, "predeblur.here")
+    made, used = predeblur(blurred, params)
+    assert used["method"] == "dstnet_small"
+    assert made.exposure == 0.0
+    assert made.frames.shape == blurred.frames.shape
+    assert not torch.equal(made.frames, blurred.frames)
+
+
+@pytest.mark.parametrize(
+    ("deblurrer", "complaint"),
+    [
+        ({"kind": "magic"}, "no kind of this name, there is matte, dstnet_small"),
+        ({"kind": "dstnet_small", "weights": ""}, "missing key 'frames_at_once'"),
+        ({**MATTE, "angles": 0}, "angles"),
+    ],
+)
+def test_a_deblurrer_that_is_none_is_refused(deblurrer, complaint):
+    with pytest.raises(ConfigError, match=complaint):
+        parse(PredeblurParams, {"given": "", "deblurrer": deblurrer}, "predeblur.here")
 
 
 def test_without_sharp_frames_nothing_is_measured(blurred, tmp_path):

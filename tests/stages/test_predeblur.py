@@ -7,7 +7,9 @@ from tests.stages.running import run_script
 PARAMS = """
 seed: 0
 predeblur:
-  tiny: {given: "", lengths: [3.0], angles: 2, regularisation: 0.5, window_sigma: 3.0, gain: 0.05}
+  tiny:
+    given: ""
+    deblurrer: {kind: matte, lengths: [3.0], angles: 2, regularisation: 0.5, window_sigma: 3.0, gain: 0.05}
 """
 
 

@@ -1,0 +1,1 @@
+"""Deblurring in the picture, before anything is fitted: one seam, several kinds."""
