@@ -110,6 +110,19 @@ def test_a_scene_runs_over_its_own_cells_and_their_warm_ups():
     assert {cell["warmup"] for cell in items["cells"].values()} == items["warmups"].keys()
 
 
+def test_frames_are_deblurred_where_a_cell_sees_them_and_the_scene_is_filmed_here():
+    assert items_of_scene(small_plan(), "leaping")["deblurred"] == []
+    columns = PLAN["columns"] | {"deblurred": {"observations": "deblurred", "method": "agnostic"}}
+    first = {"schedules": ["x1"], "seeds": [0], "cells": {"plain": ["deblurred"]}}
+    parts = {"first": first | {"scenes": ["leaping", "studio"]}}
+    plan = small_plan(columns=columns, parts=parts, run=["first"])
+    items = items_of_scene(plan, "leaping")
+    assert items["deblurred"] == ["leaping"]
+    assert items["warmups"].keys() == {"plain-deblurred-x1-seed_0"}
+    assert items_of_scene(plan, "studio")["deblurred"] == []
+    assert items_of_scene(plan, "leaping_17")["deblurred"] == []
+
+
 def test_a_scene_of_the_root_is_not_filmed_again():
     items = items_of_scene(small_plan(), "studio")
     assert items["filmed"] == []

@@ -9,7 +9,8 @@ seed: 0
 predeblur:
   tiny:
     given: ""
-    deblurrer: {kind: matte, lengths: [3.0], angles: 2, regularisation: 0.5, window_sigma: 3.0, gain: 0.05}
+    deblurrer:
+      {kind: matte, lengths: [3.0], angles: 2, regularisation: 0.5, window_sigma: 3.0, gain: 0.05}
 """
 
 

