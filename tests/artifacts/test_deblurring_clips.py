@@ -19,7 +19,7 @@ def test_clips_are_read_as_they_were_saved(tmp_path):
     ("changes", "complaint"),
     [
         ({"windows": (3,)}, "windows: 1 numbers for 2 windows"),
-        ({"averaging_spaces": ("srgb",)}, "averaging_spaces: 1 of them for 2 persons"),
+        ({"averaging_spaces": ("srgb",)}, "averaging_spaces: 1 for 2 persons"),
         ({"averaging_spaces": ("srgb", "gamma")}, "averaging_space must be srgb or linear"),
         ({"sharp": striped_clips(persons=1).sharp}, "must be"),
     ],

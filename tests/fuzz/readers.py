@@ -25,6 +25,7 @@ from deblur_avatar.artifacts import (
     cameras,
     checkpoint,
     clip,
+    deblurring_clips,
     motion,
     observations,
     poses,
@@ -47,6 +48,8 @@ from deblur_avatar.evaluation.costs import (
     read_costs,
     with_seconds,
 )
+from deblur_avatar.imaging import dstnet_weights
+from deblur_avatar.imaging.dstnet import Dstnet, DstnetParams
 from deblur_avatar.imaging.picture_files import read_mask, read_picture, write_light
 from deblur_avatar.parameters import check_parameters
 from deblur_avatar.pipeline.report import read_results
@@ -70,6 +73,7 @@ from tests.sources.small_videos import picture, write_video
 ROOT = Path(__file__).parents[2]
 BODY = capsule_body()
 FRAMES = 3
+TINY = DstnetParams(features=1, blocks=1, refinements=1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -289,6 +293,14 @@ def example(kind: type[Artifact]) -> Artifact:
             "key": "x", "iteration": 3, "seconds": 0.5, "left_out": 0,
             "tensors": {"a": torch.ones(2)},
         },
+        "DeblurringClips": {
+            "sharp": _images(1, 3, 6, 8, 3), "sharp_mattes": _images(1, 3, 6, 8),
+            "blurred": _images(1, 2, 3, 6, 8, 3), "blurred_mattes": _images(1, 2, 3, 6, 8),
+            "windows": (17, 33), "averaging_spaces": ("linear",),
+        },
+        "DstnetWeights": {
+            **TINY.model_dump(), "recipe": "{}", "clips": "", "tensors": Dstnet(TINY).state_dict(),
+        },
         "Checkpoint": {"iteration": 3, "tensors": {"a": torch.ones(2), "b": torch.arange(2)}},
     }  # fmt: skip
     if kind is run_folder.Snapshot:
@@ -304,6 +316,8 @@ ARTIFACTS = tuple(
         cameras,
         checkpoint,
         clip,
+        deblurring_clips,
+        dstnet_weights,
         motion,
         observations,
         poses,

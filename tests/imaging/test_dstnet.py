@@ -32,8 +32,8 @@ def test_the_network_that_is_shipped_has_so_many_numbers():
 
 
 def test_every_frame_learns_from_those_before_it_and_after_it(network):
-    given = clip().requires_grad_()
-    network(given)[0, 2].sum().backward()
+    given = clip(9).requires_grad_()  # aggregation alone reaches two frames each way
+    network(given)[0, 4].sum().backward()
     reached = given.grad[0].abs().amax((1, 2, 3))
     assert bool((reached > 0).all())
 

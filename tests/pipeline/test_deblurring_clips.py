@@ -4,7 +4,7 @@ from deblur_avatar.pipeline.deblurring_clips import DeblurringClipsParams, make_
 from tests.sources.studio.test_deblurring_takes import PARAMS
 
 TWO = DeblurringClipsParams(
-    training=1, validation=1, takes=PARAMS.model_copy(update={"frames": 1, "windows": (1,)})
+    training=1, validation=1, takes=PARAMS.model_copy(update={"frames": 2, "windows": (1,)})
 )
 
 

@@ -120,7 +120,7 @@ def test_the_network_that_is_shipped_sharpens_a_section_that_asks_for_it(blurred
     ("deblurrer", "complaint"),
     [
         ({"kind": "magic"}, "no kind of this name, there is matte, dstnet_small"),
-        ({"kind": "dstnet_small", "weights": ""}, "missing key 'frames_at_once'"),
+        ({"kind": "dstnet_small", "weights": ""}, "missing key 'deblurrer.frames_at_once'"),
         ({**MATTE, "angles": 0}, "angles"),
     ],
 )

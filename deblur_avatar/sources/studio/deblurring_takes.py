@@ -42,7 +42,7 @@ SPACES: tuple[AveragingSpace, ...] = ("srgb", "linear")  # of takes by turns; th
 class TakesParams(Params):
     """What the takes are like."""
 
-    frames: Count  # of each
+    frames: Annotated[int, Field(ge=2)]  # of each
     fps: Positive
     windows: Annotated[tuple[Count, ...], Field(min_length=1)]  # sub-frames averaged, odd
     image_size: Annotated[int, Field(ge=8)]  # square, pixels

@@ -19,16 +19,22 @@ def test_the_same_seed_is_the_same_person_and_another_is_not(body):
     assert np.array_equal(one.drape.vertices, again.drape.vertices)
     assert torch.equal(one.betas, again.betas)
     assert not torch.equal(one.betas, other.betas)
-    assert np.abs(one.mesh.albedo - other.mesh.albedo).mean() > 0.02
+    cells = min(len(one.mesh.albedo), len(other.mesh.albedo))  # clothes are cut to the shape
+    assert np.abs(one.mesh.albedo[:cells] - other.mesh.albedo[:cells]).mean() > 0.02
 
 
 def test_nothing_of_the_studio_s_colours_is_left(body):
-    """Not a print, a stripe or a face: a place has the same colour in no two persons."""
-    studio = create_person(body, torch.zeros(body.shape_dirs.shape[2])).mesh
+    """Not a print, a stripe or a face: no colour that covers much of one covers much of other."""
+
+    def often(mesh):
+        codes = (mesh.albedo[mesh.albedo.any(-1)] * 40).round().astype(int)
+        values, counts = np.unique(codes, axis=0, return_counts=True)
+        return {tuple(value) for value in values[counts > 0.02 * len(codes)]}
+
+    studio = often(create_person(body, torch.zeros(body.shape_dirs.shape[2])).mesh)
     one = drawn(body, 3).mesh
-    if one.faces.shape == studio.faces.shape:
-        same = np.isclose(one.albedo, studio.albedo, atol=0.01).all(-1) & (one.albedo > 0).all(-1)
-        assert same.mean() < 0.01
+    assert len(studio) > 2
+    assert not studio & often(one)
     assert one.albedo.min() >= 0
     assert one.albedo.max() <= 1
 
