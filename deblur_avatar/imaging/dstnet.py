@@ -69,6 +69,7 @@ class ChannelAggregation(nn.Module):
         wide = EXPANSION * channels
         self.norm = nn.LayerNorm(channels)
         self.widen = nn.Conv3d(channels, 2 * wide, (3, 1, 1), padding=(1, 0, 0))
+        asks = nn.Conv2d(wide, (TAPS + 1) * wide, 1)
         self.taps = nn.Sequential(
             nn.AvgPool2d(2),
             nn.Conv2d(wide, wide, 3, padding=1, groups=wide),
@@ -77,10 +78,10 @@ class ChannelAggregation(nn.Module):
             nn.Conv2d(wide, wide, 3, padding=1, groups=wide),
             nn.LeakyReLU(SLOPE),
             nn.AdaptiveAvgPool2d(1),
-            nn.Conv2d(wide, (TAPS + 1) * wide, 1),
+            asks,
         )
         self.narrow = nn.Conv3d(wide, channels, (3, 1, 1), padding=(1, 0, 0))
-        _begin_as_identity(self.taps[-1], wide, TAPS + 1)
+        _begin_as_identity(asks, wide, TAPS + 1)
 
     def forward(self, band: Float[Tensor, "B T C H W"]) -> Float[Tensor, "B T C H W"]:
         """Aggregate over channels, and over frames next to each other."""
@@ -100,16 +101,17 @@ class Fusion(nn.Module):
         super().__init__()
         self.mix = nn.Conv2d(2 * channels, 2 * channels, 3, padding=1)
         self.gate = nn.Conv2d(2 * channels, 2 * channels, 3, padding=1, groups=2)
+        asks = nn.Conv2d(channels, TAPS * channels, 1)
         self.taps = nn.Sequential(
             nn.AvgPool2d(4),
             Residual(channels),
             nn.MaxPool2d(2),
             Residual(channels),
-            nn.Conv2d(channels, TAPS * channels, 1),
+            asks,
             nn.Upsample(scale_factor=8, mode="bilinear", align_corners=False),
         )
         self.refine = nn.Sequential(*(Residual(channels) for _ in range(refinements)))
-        _begin_as_identity(self.taps[-2], channels, TAPS)
+        _begin_as_identity(asks, channels, TAPS)
 
     def forward(
         self, own: Float[Tensor, "B C H W"], carried: Float[Tensor, "B C H W"]
@@ -141,8 +143,8 @@ class Dstnet(nn.Module):
         self.against_time = Fusion(channels, params.refinements)
         self.along_time = Fusion(channels, params.refinements)
         self.leave = nn.Conv2d(channels, LAYERS, 3, padding=1)
-        nn.init.zeros_(self.leave.weight)
-        nn.init.zeros_(self.leave.bias)
+        for parameter in self.leave.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, clip: Float[Tensor, "B T D H W"]) -> Float[Tensor, "B T D H W"]:
         """Sharpen all frames of each clip; values may leave [0, 1]."""
