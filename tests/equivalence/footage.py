@@ -3,7 +3,8 @@
     python -m tests.equivalence.footage --out experiments/cases/data/footage
 
 What is written: a ZJU-MoCap sequence with its body as an SMPL file (`tests/zju_sequence.py`), one
-camera's video with masks, keypoints and poses beside it, and a dance as an AMASS file. The two
+camera's video with masks, keypoints and poses beside it, a dance as an AMASS file, and weights of
+a deblurring network that nobody has trained. The two
 other sources need nothing (`studio`) or real videos (`multiview`: what the root pipeline reads).
 """
 
@@ -21,6 +22,8 @@ from PIL import Image
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.imaging.dstnet import Dstnet, DstnetParams
+from deblur_avatar.imaging.dstnet_weights import DstnetWeights
 from tests.sources.small_videos import write_video
 from tests.walking_person import walking_poses
 from tests.zju_sequence import silhouette, smpl_like_body, write_sequence
@@ -39,6 +42,7 @@ def write_footage(folder: Path) -> None:
     write_sequence(folder, FRAMES)
     _write_video(folder / "video")
     _write_dance(folder / "dance.npz")
+    _write_network(folder / "dstnet")
 
 
 def _write_video(folder: Path) -> None:
@@ -103,6 +107,20 @@ def _write_dance(path: Path) -> None:
         mocap_framerate=np.array(DANCE_FPS),
         gender=np.array("female"),
     )
+
+
+def _write_network(folder: Path) -> None:
+    """A tiny network that does something: shipped weights may change, and small cases must not."""
+    sizes = DstnetParams(features=2, blocks=1, refinements=1)
+    network = Dstnet(sizes)
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.copy_(0.2 * torch.randn(parameter.shape, generator=generator))
+    weights = DstnetWeights(
+        recipe="{}", clips="", tensors=network.state_dict(), **sizes.model_dump()
+    )
+    weights.save(folder)
 
 
 def main() -> int:

@@ -6,6 +6,7 @@ import torch
 
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.imaging.deblurring.dstnet_small import SHIPPED
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.predeblur import PredeblurParams, clips_of, predeblur
 from deblur_avatar.pipeline.score_predeblur import score_predeblur
@@ -105,6 +106,7 @@ def test_fitted_frames_are_deblurred_without_those_that_are_kept_from_fitting(bl
     ]
 
 
+@pytest.mark.skipif(not SHIPPED.is_dir(), reason="no weights are shipped yet: experiments/dstnet")
 def test_the_network_that_is_shipped_sharpens_a_section_that_asks_for_it(blurred):
     """As a user asks for it: by a section of parameters alone."""
     network = {"kind": "dstnet_small", "weights": "", "frames_at_once": 30}
