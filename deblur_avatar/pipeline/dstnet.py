@@ -7,13 +7,13 @@ bytes.
 import hashlib
 import json
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from deblur_avatar.artifacts.deblurring_clips import DeblurringClips
 from deblur_avatar.imaging.dstnet_weights import DstnetWeights
 from deblur_avatar.training.deblurring import DeblurringTrainer, DstnetTrainingParams, Layers
 from deblur_avatar.training.resume import RunFolder
-from deblur_avatar.training.trainer import Report
 
 SHOWN = 20  # steps whose mean loss is reported
 
@@ -24,7 +24,7 @@ def train(
     seed: int,
     *,
     origin: str,
-    report: Report,
+    report: Callable[[int, Mapping[str, float]], None],
     folder: RunFolder,
 ) -> DstnetWeights:
     """Train a network from the beginning, or from where it was stopped.
