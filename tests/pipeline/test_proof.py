@@ -37,8 +37,8 @@ def test_the_summary_has_every_avatar_and_motion_of_every_scene(report):
 
 
 def test_a_grid_shows_recovery_below_each_avatar(report):
-    assert "| networks | 15.00 | \u2013 | **16.00** |" in report.tables
-    assert "| networks: recovery | 0.00 | \u2013 | 0.25 |" in report.tables
+    assert "| networks | 15.00 | \u2013 | \u2013 | **16.00** |" in report.tables
+    assert "| networks: recovery | 0.00 | \u2013 | \u2013 | 0.25 |" in report.tables
     assert "| plain | 16.50 \u00b1 0.71 |" in report.tables
 
 
