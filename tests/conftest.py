@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -124,6 +125,7 @@ def make_observations(body: Body) -> Callable[..., Observations]:
             train=tuple(range(frames - 1)),
             validation=(frames - 1,),
             depth_known=True,
+            pose_std=math.radians(1.5),
             occluded_fraction=0.5,
         )
 

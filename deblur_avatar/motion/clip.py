@@ -324,11 +324,12 @@ class ClipMotion(Trajectory):
     def priors(self, frame: int, instants: Instants, observations: Observations) -> Priors:
         """Penalties for leaving the first estimate, and for another shutter than guessed.
 
-        `anchor` is the mean squared distance of the knots from the first ones, in radians of a
-        joint's turn; `depth` is that of the joints' depths at the middle of this exposure, where
-        other cameras have told them; `shutter` is the squared logarithm of its ratio to the guess.
+        `anchor` is the mean squared distance of the knots from the first ones, in units of how far
+        the given poses may be off (`pose_std`); `depth` is that of the joints' depths at the middle
+        of this exposure, where other cameras have told them; `shutter` is the squared logarithm of
+        its ratio to the guess.
         """
-        priors: Priors = {"anchor": self._anchor}
+        priors: Priors = {"anchor": lambda: self._anchor() / observations.pose_std**2}
         if self.log_shutter.requires_grad:
             priors["shutter"] = self.log_shutter.square
         if observations.depth_known:

@@ -5,6 +5,7 @@ with the same poses (for `oracle`), and the sharp frames with exact poses (for `
 """
 
 import logging
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.person_crops import person_crops
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
-from deblur_avatar.config.section import NonNegative, Params
+from deblur_avatar.config.section import NonNegative, Params, Positive
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import Background, BackgroundKind, background_of
@@ -56,6 +57,7 @@ class PreprocessParams(Params):
         "known", "unknown"
     ]  # known: the poses come from several views, say, and tell how
     # far joints are from the camera better than the training camera can
+    pose_std_degrees: Positive  # how far the poses may be off: root mean square of a joint's angle
     margin: NonNegative  # of the crop, as a share of the person's box
     validation_stride: Annotated[int, Field(ge=2)]  # every n-th frame is set aside
 
@@ -210,6 +212,7 @@ def _observations(
         train=train,
         validation=validation,
         depth_known=params.depth == "known",
+        pose_std=math.radians(params.pose_std_degrees),
         occluded_fraction=occluded_fraction(
             body, track.poses.at(list(train)), cameras, clip.train_camera
         ),

@@ -57,16 +57,16 @@ def test_no_setting_names_a_report_scene(path: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        {"methods": {"lean": {"dancing": {}}}},
-        {"avatars": {"dancing": {}}},
-        {"schedules": {"x1": {"levels": [{"only": "dancing"}]}}},
-        {"methods": {"clip-dancing": {}, "lean": {"of": "clip-dancing"}}},
-        {"proof": {"avatars": {"plain": "dancing"}}},
-        {"on_request": ["dancing"]},
+        {"methods": {"lean": {"whirling": {}}}},
+        {"avatars": {"whirling": {}}},
+        {"schedules": {"x1": {"levels": [{"only": "whirling"}]}}},
+        {"methods": {"clip-whirling": {}, "lean": {"of": "clip-whirling"}}},
+        {"proof": {"avatars": {"plain": "whirling"}}},
+        {"on_request": ["whirling"]},
     ],
 )
 def test_a_setting_that_names_one_is_found(content: Any) -> None:
-    assert "dancing" in REPORT
+    assert "whirling" in REPORT
     assert wrong_places(content, REPORT)
 
 
