@@ -110,10 +110,12 @@ class _PoseSpline(torch.autograd.Function):
     def backward(ctx: Any, quats_grad: Tensor, transl_grad: Tensor) -> tuple[Tensor | None, ...]:
         inputs = ctx.saved_tensors
         given = quats_grad.contiguous(), transl_grad.contiguous()
-        grads = [torch.empty_like(value) for value in inputs[:2]]
-        grads.append(torch.empty_like(inputs[2]) if ctx.needs_input_grad[2] else None)
+        grads = tuple(
+            torch.empty_like(value) if needed else None
+            for value, needed in zip(inputs, (True, True, ctx.needs_input_grad[2]), strict=True)
+        )
         _call("pose_spline_backward", *ctx.sizes, *pointers(*inputs, *given, *grads))
-        return tuple(grads)
+        return grads
 
 
 class _KnotDistance(torch.autograd.Function):
@@ -150,11 +152,11 @@ def _library() -> ctypes.CDLL | None:
     library = library_or_none(KERNEL, "Trajectories are found", [f"SMALL_ANGLE={SMALL_ANGLE}"])
     if library is None:
         return None
-    knots_and_joints, times, lever = [ctypes.c_int64] * 2, [ctypes.c_int64], [ctypes.c_double]
-    last_size = {"pose_spline": times, "pose_spline_backward": times, "knot_distance": lever}
+    last_size = {"knot_distance": ctypes.c_double}
     tensors = {"pose_spline": 5, "pose_spline_backward": 8, "knot_distance": 7}
     for name, count in tensors.items():
         function = getattr(library, name)
-        function.argtypes = [*knots_and_joints, *last_size[name], *[ctypes.c_void_p] * count]
+        sizes = [ctypes.c_int64, ctypes.c_int64, last_size.get(name, ctypes.c_int64)]
+        function.argtypes = [*sizes, *[ctypes.c_void_p] * count]
         function.restype = None
     return library
