@@ -3,8 +3,8 @@
 Conventions. Those of `geometry.splines`, times in units of the knots' spacing. K knots, J joints,
 M times.
 
-Float32 tensors on the CPU go through a native kernel: one evaluation is some two hundred calls over
-short rows in plain torch, as many as all else that a step does where one instant is rendered
+Float32 tensors on the CPU go through a native kernel: an evaluation with its gradient is hundreds
+of calls over short rows in plain torch, a third of a step where one instant is rendered
 (docs/decisions/0046-parsimony.md).
 """
 
