@@ -2,21 +2,18 @@
 
 import contextlib
 import importlib.util
-import io
 import json
-import logging
 import os
 import runpy
 import subprocess
 import sys
-import traceback
 import types
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from tests.process_state import process_state_kept
+from tests.process_state import ended_here
 
 ROOT = Path(__file__).resolve().parents[2]
 Start = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -65,32 +62,10 @@ def run_script(stage: str, **options: object) -> "subprocess.CompletedProcess[st
 
     Tells what a process would have told: its exit code, and what it wrote.
     """
-    asked, out, said = command(stage, options), io.StringIO(), io.StringIO()
-    code = 0
-    with (
-        process_state_kept(), own_log(), mock.patch.object(sys, "argv", asked[1:]),
-        contextlib.redirect_stdout(out), contextlib.redirect_stderr(said),
-    ):  # fmt: skip
-        try:
-            runpy.run_path(str(ROOT / asked[1]), run_name="__main__")
-        except SystemExit as end:
-            code = end.code
-        except Exception:
-            traceback.print_exc()
-            code = 1
-    return subprocess.CompletedProcess(asked, code, out.getvalue(), said.getvalue())
-
-
-@contextlib.contextmanager
-def own_log() -> Iterator[None]:
-    """No handlers of others while a script sets up its log, and its own gone after it."""
-    root = logging.getLogger()
-    handlers, level, root.handlers = root.handlers, root.level, []
-    try:
-        yield
-    finally:
-        root.handlers = handlers
-        root.setLevel(level)
+    asked = command(stage, options)
+    with mock.patch.object(sys, "argv", asked[1:]):
+        script = str(ROOT / asked[1])
+        return ended_here(asked, lambda: runpy.run_path(script, run_name="__main__"))
 
 
 def script_of(stage: str) -> types.ModuleType:
