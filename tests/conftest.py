@@ -163,7 +163,7 @@ def swinging(body: Body) -> Callable[[int, float], Poses]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def painted(body: Body) -> Callable[..., PlainAvatar]:
     """The avatar that `observations` show, without any network."""
 
