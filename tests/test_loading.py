@@ -51,6 +51,9 @@ def test_every_script_loads_it_before_all_that_is_not_pythons_own(script):
 
 
 def test_a_program_that_loads_a_script_keeps_its_own_answer_to_interrupts():
-    before = signal.getsignal(signal.SIGINT)
-    importlib.reload(loading)
-    assert signal.getsignal(signal.SIGINT) is before
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        importlib.reload(loading)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -64,9 +64,7 @@ def test_frames_lose_quality_before_any_is_left_out(fitted_run, rough, sharp):
 
 
 def test_scripts_lose_their_comments_and_nothing_that_runs():
-    script = (
-        "// What it is.\nconst a = 1; // one\n\n  // and\n  const b = `\n    // within\n  x`;\n"
-    )
+    script = "// What it is.\nconst a = 1; // one\n\n  // and\n  const b = `\n    // in\n  x`;\n"
     assert _without_comments(script) == "const a = 1; // one\nconst b = `\nx`;"
 
 
