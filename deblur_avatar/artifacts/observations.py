@@ -69,6 +69,11 @@ class Observations(Artifact):
         """The training camera."""
         return self.cameras.camera(self.train_camera)
 
+    @property
+    def shown(self) -> list[int]:
+        """Positions of the training frames that show a person."""
+        return [index for index in self.train if self.weights[index] > 0]
+
     def background(self, position: int) -> UInt8[Tensor, "H W 3"] | None:
         """What is behind the person in one frame, sRGB; None is black."""
         if self.backgrounds is None:

@@ -39,7 +39,6 @@ from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
 from deblur_avatar.imaging.matting import (
     comparable_pixels,
     lift_person,
-    no_plate,
     scenery,
     trim_mattes,
 )
@@ -163,12 +162,11 @@ def _pictures(
     small = cut(mattes)
     if background.kind == "none":
         return _Pictures(cut(frames), small, None, None)
+    plates = background.distinct
     if background.kind == "matte":
-        plates = [no_plate(matte) for matte in mattes]
         lifted = lift_person(frames, mattes, plates, cast(AveragingSpace, averaging_space))
         nowhere = torch.zeros_like(small, dtype=torch.bool)
         return _Pictures(cut(lifted), small, comparable_pixels(small, nowhere), None)
-    plates = background.distinct
     behind = cut(torch.stack([plate.picture for plate in plates]))
     known = cut(torch.stack([plate.known for plate in plates]).to(torch.uint8) * 255) == 255
     shown, comparable = scenery(cut(frames), small, behind, known)

@@ -4,6 +4,7 @@ Both are raylets of this machine, which share its folder.
 """
 
 import os
+import sys
 
 import pytest
 
@@ -51,3 +52,20 @@ def test_a_machine_that_goes_away_costs_its_task_alone(made, serial, tmp_path, m
     assert len(progress.done) == 9
     assert sum(progress.lost.values()) == 1
     assert results(project) == results_of_root(serial)
+
+
+def test_what_a_raylet_says_goes_to_standard_error(tmp_path, monkeypatch, capsys):
+    from ray._private.worker import print_to_stdstream
+
+    from deblur_avatar.sweep import ray_engine
+
+    monkeypatch.setattr(ray_engine.ray, "init", lambda **options: None)
+    monkeypatch.setattr(ray_engine.ray, "shutdown", lambda: None)
+    engine = ray_engine.RayEngine(tmp_path, None, {})
+    said = {"lines": ["the node is marked dead"], "pid": "raylet", "is_err": False}
+    print_to_stdstream(said, ignore_prefix=False)
+    engine.stop()
+    sys.stdout.write("done\n")
+    out, err = capsys.readouterr()
+    assert out == "done\n"
+    assert "the node is marked dead" in err
