@@ -21,8 +21,7 @@ def main(
     schedule = load_params(params_file, "schedule", str)
     seed = load_params(params_file, "seed", int)
     with run.stage("evaluate", f"{scene}-{method}", seed) as context:
-        seen = Observations.load(observations)
-        avatar = Avatar.load(fusion / "avatar")
+        seen, avatar = Observations.load(observations), Avatar.load(fusion / "avatar")
         motion = Motion.load(fusion / "motion")
         evaluation = evaluate(seen, Reference.load(reference), avatar, motion, context.device)
         pictures = draw_pictures(evaluation.comparisons, seen, avatar, motion, context.device)

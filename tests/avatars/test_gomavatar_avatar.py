@@ -485,5 +485,5 @@ def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
     run = FittedRun("capsules-gomavatar", avatar.to_artifact(1), motion, observations)
     with pytest.raises(ConfigError, match="kind gomavatar, whose vertices a network moves"):
         rigged_avatar(run)
-    with pytest.raises(ConfigError, match="kind gomavatar is more than Gaussians of one colour"):
+    with pytest.raises(ConfigError, match="kind gomavatar is no set of Gaussians of one colour"):
         posed_frame(run, 0)
