@@ -16,6 +16,7 @@ AVATARS: Registry[AvatarModel] = Registry(
         "gart": "deblur_avatar.avatars.gart_avatar:GartAvatar",
         "gauhuman": "deblur_avatar.avatars.gauhuman_avatar:GauhumanAvatar",
         "gomavatar": "deblur_avatar.avatars.gomavatar_avatar:GomavatarAvatar",
+        "humannerf_small": "deblur_avatar.avatars.humannerf_small_avatar:HumannerfSmallAvatar",
         "networks": "deblur_avatar.avatars.networks_avatar:NetworksAvatar",
         "plain": "deblur_avatar.avatars.plain_avatar:PlainAvatar",
     }
