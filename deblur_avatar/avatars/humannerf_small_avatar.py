@@ -145,7 +145,8 @@ class HumannerfSmallAvatar(VolumeAvatar):
         share, places = taken_back(weights, points, rest_from_posed)
         colors, densities = self.radiance(self.moved(places, state))
         lengths = (rays.far - rays.near) / count
-        found = share * opacity(densities, lengths[kept // count])
+        # Joints look in different places, so that together they can find more than all there is.
+        found = share.clamp(max=1) * opacity(densities, lengths[kept // count])
         opacities = found.new_zeros(depths.numel()).index_put((kept,), found)
         shown = found.new_zeros(depths.numel(), 3).index_put((kept,), colors)
         return composite(opacities.unflatten(0, (-1, count)), shown.unflatten(0, (-1, count)))

@@ -13,6 +13,7 @@ from deblur_avatar.config.reading import parse
 
 AVATARS: Registry[AvatarModel] = Registry(
     {
+        "arah_small": "deblur_avatar.avatars.arah_small_avatar:ArahSmallAvatar",
         "gart": "deblur_avatar.avatars.gart_avatar:GartAvatar",
         "gauhuman": "deblur_avatar.avatars.gauhuman_avatar:GauhumanAvatar",
         "gomavatar": "deblur_avatar.avatars.gomavatar_avatar:GomavatarAvatar",

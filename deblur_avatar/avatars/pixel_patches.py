@@ -7,8 +7,7 @@ whole pictures, so that the motion's priors weigh against it what they do for ot
 
 Conventions. A patch is named by its corner, the pixel at its top left. H rows, W columns, P pixels.
 
-Source: HumanNeRF (Weng et al., CVPR 2022). As there, pixels that are drawn more rarely count less:
-weights that make up for it, too, are so uneven that a fit learned next to nothing in 150 steps.
+Source: HumanNeRF (Weng et al., CVPR 2022). As there, pixels that are drawn more rarely count less.
 """
 
 from dataclasses import dataclass

@@ -47,6 +47,13 @@ class VolumeState(FrameState):
     step: TrainingStep | None
 
 
+@dataclass(frozen=True)
+class VolumeRendering(Rendering):
+    """Renders of a volume, and what was known of the frame."""
+
+    state: VolumeState
+
+
 class VolumeAvatar(AvatarModel):
     """A volume round the body; a kind says what light and coverage come along a ray."""
 
@@ -93,7 +100,7 @@ class VolumeAvatar(AvatarModel):
         *,
         average: bool = False,
         background: Float[Tensor, " 3"] | None = None,
-    ) -> Rendering:
+    ) -> VolumeRendering:
         """Follow rays through all instants."""
         drawn = self._draw(state, camera)
         return self._rendering(state, transforms, camera, drawn, average, background)
@@ -105,7 +112,7 @@ class VolumeAvatar(AvatarModel):
         camera: Camera,
         *,
         average: bool,
-    ) -> tuple[Rendering, Rendering]:
+    ) -> tuple[VolumeRendering, VolumeRendering]:
         """The same, with the same patches in both."""
         drawn = self._draw(state, camera)
         return (
@@ -118,10 +125,11 @@ class VolumeAvatar(AvatarModel):
     ) -> Bool[Tensor, "H W"]:
         """Pixels that show a vertex of the body, as if it were of glass."""
         vertices = skin_points(self.canonical_vertices, self.lbs_weights, transforms)
-        places, depths = project(vertices, camera.K, camera.viewmat)
+        places, _ = project(  # those behind the camera are far outside of the picture
+            vertices, camera.K, camera.viewmat
+        )
         columns, rows = places.floor().long().unbind(1)
         inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
-        inside = inside & (depths > 0)
         shown = torch.zeros(camera.height, camera.width, dtype=torch.bool, device=places.device)
         shown[rows[inside], columns[inside]] = True
         return shown
@@ -164,7 +172,7 @@ class VolumeAvatar(AvatarModel):
     def _rendering(
         self, state: VolumeState, transforms: Tensor, camera: Camera, drawn: DrawnPixels | None,
         average: bool, background: Tensor | None = None,
-    ) -> Rendering:  # fmt: skip
+    ) -> VolumeRendering:  # fmt: skip
         pictures = torch.stack([self._picture(state, one, camera, drawn) for one in transforms])
         if average:
             pictures = mean_of_instants(pictures)[None]
@@ -172,7 +180,7 @@ class VolumeAvatar(AvatarModel):
         if background is not None:
             pairs = zip(image, alpha, strict=True)
             image = torch.stack([over(*one, background.expand_as(one[0])) for one in pairs])
-        return Rendering(image, alpha, len(transforms), rasterization=None)
+        return VolumeRendering(image, alpha, len(transforms), None, state)
 
     def _picture(
         self, state: VolumeState, transforms: Tensor, camera: Camera, drawn: DrawnPixels | None

@@ -172,6 +172,15 @@ def test_a_denser_field_covers_more_and_by_the_share_that_is_not_air(loud, bent,
     )
 
 
+def test_no_point_keeps_back_more_than_all_light(loud, bent, camera):
+    with torch.no_grad():
+        loud.field.last.bias[3] = 50.0
+        loud.motion_weights.doublings[-1].bias[:-1] = 6.0  # hardly any air
+    seen = drawn(loud, 3 * bent, camera)
+    assert 0.99 < seen.alpha.max() <= 1 + 1e-6
+    assert seen.alpha.min() >= 0
+
+
 def test_what_is_left_out_for_being_air_hardly_shows(loud, bent, camera, monkeypatch):
     culled = drawn(loud, bent, camera)
     monkeypatch.setattr("deblur_avatar.avatars.humannerf_small_avatar.CULL", 0.0)
