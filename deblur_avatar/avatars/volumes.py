@@ -51,7 +51,7 @@ class VolumeState(FrameState):
 class VolumeRendering(Rendering):
     """Renders of a volume, and what was known of the frame."""
 
-    state: VolumeState
+    state: Any
 
 
 class VolumeAvatar(AvatarModel):

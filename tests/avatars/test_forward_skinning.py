@@ -115,7 +115,12 @@ def test_what_no_point_is_moved_to_is_not_found(body, vertices, skinning):
     assert not sure.any()
 
 
-def test_a_search_that_failed_begins_again_from_bones(body, vertices, skinning, monkeypatch):
+def test_a_search_that_failed_begins_again_from_bones(
+    body, vertices, grid, transforms, monkeypatch
+):
+    away = torch.eye(4)
+    away[:3, 3] = torch.tensor([30.0, 0.0, -20.0])
+    skinning = ForwardSkinning(grid, away @ transforms, vertices, body.lbs_weights)
     points = on_body(body, vertices)
     posed = skinning.skinned(points)
     wrong = torch.randperm(len(vertices), generator=seeded(5))[: len(points)]
@@ -124,6 +129,8 @@ def test_a_search_that_failed_begins_again_from_bones(body, vertices, skinning, 
     monkeypatch.setattr("deblur_avatar.avatars.forward_skinning.STARTS", 2)
     both = skinning.canonical(posed, wrong)[1].float().mean()
     assert both > alone + 0.02
+    _, nearest = skinning.nearest(posed)
+    assert skinning.canonical(posed, nearest)[1].float().mean() > 0.97
 
 
 def test_the_inverse_jacobian_says_how_points_follow(body, vertices, skinning):

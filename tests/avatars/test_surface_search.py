@@ -80,10 +80,20 @@ def test_a_ball_is_met_by_as_many_rays_as_its_disc_is_large(skinning, middle, mo
     assert ((offsets.abs() < RADIUS) == surface.met).float().mean() > 0.98
 
 
-def test_what_lies_behind_the_end_of_a_ray_is_not_met(skinning, middle, moved):
+def test_what_lies_beyond_the_ends_of_a_ray_is_not_met(skinning, middle, moved):
     rays = rays_past(middle, moved, torch.zeros(1))
     short = Rays(rays.origins, rays.directions, rays.near, torch.tensor([0.4]))
     assert not met_surface(short, skinning, ball(middle)).met.any()
+    late = Rays(rays.origins, rays.directions, torch.tensor([0.53]), rays.far)  # from within
+    assert not met_surface(late, skinning, ball(middle)).met.any()
+
+
+def test_point_and_depth_are_found_in_few_steps(skinning, middle, moved, monkeypatch):
+    monkeypatch.setattr("deblur_avatar.avatars.surface_search.ITERATIONS", 2)
+    monkeypatch.setattr("deblur_avatar.avatars.surface_search.CLOSE", 0.05)
+    monkeypatch.setattr("deblur_avatar.avatars.surface_search.STEPS", 6)
+    offsets = torch.linspace(0, 0.06, 9)
+    assert met_surface(rays_past(middle, moved, offsets), skinning, ball(middle)).met.all()
 
 
 def test_no_rays_meet_nothing(skinning, middle, moved):
