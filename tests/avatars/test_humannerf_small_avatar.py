@@ -16,7 +16,9 @@ from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import invert_rigid
 from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.training import resume, trainer
 from deblur_avatar.training.params import RecipeParams
+from deblur_avatar.training.resume import run_folder
 from tests.changed_parameters import changed
 
 pytestmark = pytest.mark.portable
@@ -437,6 +439,41 @@ def test_a_short_fit_explains_the_frames_better_and_again_the_same(observations,
     assert cost["gaussians"] == 0
     for name, value in runs[0].networks.items():
         assert torch.equal(value, runs[1].networks[name]), name
+
+
+class Stopped(Exception):
+    pass
+
+
+def test_a_fit_that_was_stopped_ends_with_the_same_bytes(
+    observations, recipe, schedule, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(resume, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 4)
+    length = schedule.model_copy(update={"warmup": 10, "trajectory": 11, "fusion": 12})
+
+    def fitted(report=lambda *_: None, folder=None):
+        torch.manual_seed(0)
+        return warm_up(
+            observations, recipe, length, device=CPU, generator=seeded(), report=report,
+            folder=folder,
+        )  # fmt: skip
+
+    def stop(iteration, terms):
+        if iteration == 9:
+            raise Stopped
+
+    whole, _, _ = fitted()
+    out = tmp_path / "warmup"
+    with pytest.raises(Stopped), run_folder(out, "key", frozenset()) as folder:
+        fitted(stop, folder)
+    with run_folder(out, "key", frozenset()) as folder:
+        assert folder.progress is not None
+        assert folder.progress.iteration == 7
+        again, _, _ = fitted(folder=folder)
+    assert whole.networks.keys() == again.networks.keys()
+    for name, value in whole.networks.items():
+        assert torch.equal(value, again.networks[name]), name
 
 
 def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
