@@ -154,7 +154,8 @@ class VolumeAvatar(AvatarModel):
         root_from_world = invert_rigid(still[0])
         low, high = self.bounds(root_from_world @ still)
         turned = directions @ root_from_world[:3, :3].T
-        near, far = box_depths(transform_points(root_from_world, origins), turned, low, high)
+        to_root = root_from_world.expand(len(origins), 4, 4)
+        near, far = box_depths(transform_points(to_root, origins), turned, low, high)
         return Rays(origins, directions, near, far), far > near
 
     def _draw(self, state: VolumeState, camera: Camera) -> DrawnPixels | None:

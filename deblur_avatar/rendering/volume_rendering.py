@@ -11,7 +11,7 @@ NeRF (Mildenhall et al., ECCV 2020, eq. 3).
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 # Not a parameter: a direction that is nearer to a face of the box than this runs along it.
@@ -34,7 +34,7 @@ class Rays:
         """Points on the rays."""
         return self.origins[:, None] + depths[..., None] * self.directions[:, None]
 
-    def part(self, chosen: slice | Bool[Tensor, " Q"]) -> "Rays":
+    def part(self, chosen: slice | Bool[Tensor, " Q"] | Int64[Tensor, " P"]) -> "Rays":
         """Some of the rays."""
         return Rays(
             self.origins[chosen], self.directions[chosen], self.near[chosen], self.far[chosen]

@@ -498,5 +498,7 @@ def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
     run = FittedRun("capsules-arah_small", avatar.to_artifact(1), motion, observations)
     with pytest.raises(ConfigError, match="kind arah_small, which is a volume"):
         rigged_avatar(run)
-    with pytest.raises(ConfigError, match="kind arah_small has no Gaussians to take out"):
+    with pytest.raises(
+        ConfigError, match="kind arah_small is no set of Gaussians of one colour each"
+    ):
         posed_frame(run, 0)

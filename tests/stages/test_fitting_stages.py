@@ -138,7 +138,7 @@ def test_a_typo_in_a_method_does_too(chain, tiny, stage, tmp_path):
 def test_a_stage_before_its_predecessor_says_what_to_do(chain, tiny, stage, tmp_path):
     folder, _ = chain
     write_params(tmp_path, tiny)
-    missing, schema = tmp_path / "observations", "observations/3"
+    missing, schema = tmp_path / "observations", "observations/4"
     if stage in BEFORE:
         missing.symlink_to(folder / "observations")
         missing, schema = tmp_path / BEFORE[stage] / "avatar", "avatar/1"
