@@ -81,9 +81,6 @@ class ArahSmallAvatar(VolumeAvatar):
     kind = "arah_small"
     Params: ClassVar[type[AvatarParams]] = ArahSmallParams
     Fitting: ClassVar[type[FittingParams]] = ArahSmallFitting
-    beyond_a_rig: ClassVar[str] = (
-        "which is a volume that networks fill, and no skeleton carries one"
-    )
     params: ArahSmallParams
     box: Tensor
     faces: Tensor

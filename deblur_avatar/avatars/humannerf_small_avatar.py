@@ -29,7 +29,7 @@ from deblur_avatar.avatars.relu_network import GAIN, ReluNetwork
 from deblur_avatar.avatars.volumes import VolumeAvatar, VolumeState
 from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.geometry.rotations import matrix_to_axis_angle
-from deblur_avatar.geometry.skinning import invert_rigid
+from deblur_avatar.geometry.skinning import invert_rigid, transform_points
 from deblur_avatar.rendering.volume_rendering import Rays, composite, opacity, sample_depths
 
 # Not parameters. Added to the pose, so that the pose at rest is not nothing to the network.
@@ -61,9 +61,6 @@ class HumannerfSmallAvatar(VolumeAvatar):
     kind = "humannerf_small"
     Params: ClassVar[type[AvatarParams]] = HumannerfSmallParams
     Fitting: ClassVar[type[FittingParams]] = HumannerfSmallFitting
-    beyond_a_rig: ClassVar[str] = (
-        "which is a volume that networks fill, and no skeleton carries one"
-    )
     params: HumannerfSmallParams
     joints: Tensor
 
@@ -121,7 +118,7 @@ class HumannerfSmallAvatar(VolumeAvatar):
     ) -> tuple[Float[Tensor, " 3"], Float[Tensor, " 3"]]:
         """The box of the posed joints, with a margin."""
         posed = transforms @ invert_rigid(self.rest_from_canonical)
-        joints = (posed[:, :3, :3] @ self.joints[..., None])[..., 0] + posed[:, :3, 3]
+        joints = transform_points(posed, self.joints)
         margin = self.params.motion_weights.margin_m
         return joints.amin(0) - margin, joints.amax(0) + margin
 

@@ -4,7 +4,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.gomavatar_params import EncodedNetworkParams, OffsetsFitting
 from deblur_avatar.avatars.motion_weight_volume import MotionWeightsParams
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, LearningRate, Precision
@@ -23,18 +22,6 @@ class HumannerfSmallParams(AvatarParams):
     nonrigid: EncodedNetworkParams
 
 
-class NonrigidFitting(OffsetsFitting):
-    """How the network that moves points of the T-pose with the pose is fitted."""
-
-    def opened(self, step: TrainingStep | None) -> float | None:
-        """How far its window is open at a step: 0 to 1 and on; None while it waits."""
-        if step is None:
-            return 1.0
-        if not step.past(self.start):
-            return None
-        return (step.iteration / step.scale - self.start) / (self.full - self.start)
-
-
 class FieldRates(Params):
     """Learning rates."""
 
@@ -46,7 +33,7 @@ class HumannerfSmallFitting(FittingParams):
     """How field, motion weights and offsets are fitted."""
 
     rates: FieldRates
-    nonrigid: NonrigidFitting
+    nonrigid: OffsetsFitting
     rays: RaysParams
 
     def learning_rates(self, final_share: float) -> dict[str, LearningRate]:

@@ -11,7 +11,7 @@ Q rays, S instants, J joints, P pixels.
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Bool, Float, Int64
@@ -57,6 +57,9 @@ class VolumeRendering(Rendering):
 class VolumeAvatar(AvatarModel):
     """A volume round the body; a kind says what light and coverage come along a ray."""
 
+    beyond_a_rig: ClassVar[str] = (
+        "which is a volume that networks fill, and no skeleton carries one"
+    )
     lbs_weights: Tensor
 
     def __init__(

@@ -1,3 +1,5 @@
+from functools import partial
+
 import pytest
 import torch
 
@@ -5,30 +7,29 @@ from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.frequency_encoding import frequency_encoding, hann_window
 from deblur_avatar.avatars.humannerf_small_avatar import HumannerfSmallAvatar
 from deblur_avatar.avatars.humannerf_small_params import HumannerfSmallParams
-from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import FittedRun
-from deblur_avatar.exports.posed_gaussians import posed_frame
-from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import invert_rigid
-from deblur_avatar.pipeline.warmup import warm_up
-from deblur_avatar.training import resume, trainer
 from deblur_avatar.training.params import RecipeParams
-from deblur_avatar.training.resume import run_folder
+from tests.avatars.network_avatar_checks import (
+    drawn,
+    fitted,
+    fitted_twice,
+    is_drawn_as_saved,
+    model_is_refused,
+    no_rig_carries_it,
+    rates_of_all_unknowns,
+    seeded,
+    state_of,
+    stopped_ends_with_the_same_bytes,
+)
 from tests.changed_parameters import changed
 
 pytestmark = pytest.mark.portable
 
-CPU = torch.device("cpu")
 FRAMES = 5
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture
@@ -74,17 +75,6 @@ def bent(body):
 @pytest.fixture
 def camera(front):
     return front.camera(0)
-
-
-def state_of(avatar, angles, transl=(0.0, 0.0, 0.0), step=None):
-    rotations = axis_angle_to_matrix(angles)
-    transforms = avatar.transforms(rotations, torch.tensor(transl).to(angles))
-    return avatar.condition(rotations, 0, transforms, torch.eye(4), step), transforms
-
-
-def drawn(avatar, angles, camera, transl=(0.0, 0.0, 0.0), step=None, **options):
-    state, transforms = state_of(avatar, angles, transl, step)
-    return avatar.render(state, transforms[None], camera, **options)
 
 
 def step_at(recipe, iteration, scale=1.0):
@@ -377,14 +367,7 @@ def test_gradients_of_pose_and_translation_are_what_small_changes_do(loud, bent,
 
 
 def test_every_unknown_has_one_learning_rate_that_falls_to_a_tenth(avatar, recipe):
-    groups = avatar.parameter_groups()
-    rates = recipe.fitting.learning_rates(recipe.final_share)
-    assert groups.keys() == rates.keys()
-    held = [value for named in groups.values() for _, value in named]
-    assert len(held) == len(set(held))
-    assert set(held) == set(avatar.parameters())
-    names = [name for named in groups.values() for name, _ in named]
-    assert set(names) == avatar.to_artifact(1).networks.keys()
+    rates = rates_of_all_unknowns(avatar, recipe)
     ends = {name: (rate.at(0.0), rate.at(1.0)) for name, rate in rates.items()}
     wanted = {"field": 2e-3, "motion_weights": 5e-4, "nonrigid": 5e-4}
     for name, first in wanted.items():
@@ -396,12 +379,7 @@ def test_every_unknown_has_one_learning_rate_that_falls_to_a_tenth(avatar, recip
     [("samples", 1), ("field.hidden", []), ("nonrigid.frequencies", 0), ("precision", "half")],
 )
 def test_models_that_cannot_be_made_are_refused(content, path, value):
-    model = content["model"]
-    *above, last = path.split(".")
-    section = model[above[0]] if above else model
-    section[last] = value
-    with pytest.raises(ConfigError, match=last):
-        parse(HumannerfSmallParams, model, "model")
+    model_is_refused(HumannerfSmallParams, content["model"], path, value)
 
 
 def test_a_window_that_closes_before_it_opens_is_refused(content):
@@ -411,76 +389,25 @@ def test_a_window_that_closes_before_it_opens_is_refused(content):
 
 
 def test_a_saved_avatar_is_drawn_as_it_was(loud, body, swinging, camera, tmp_path):
-    poses = swinging(2, 30.0)
-    saved = loud.to_artifact(7)
-    assert saved.model["params"]["kind"] == "humannerf_small"
-    saved.save(tmp_path / "avatar")
-    again = avatar_from_artifact(type(saved).load(tmp_path / "avatar"), body, CPU)
-    for before, after in zip(
-        render_avatar(loud, poses, camera), render_avatar(again, poses, camera), strict=True
-    ):
-        assert torch.equal(before, after)
+    is_drawn_as_saved(loud, body, swinging(2, 30.0), camera, tmp_path / "avatar")
 
 
 def test_a_short_fit_explains_the_frames_better_and_again_the_same(observations, recipe, schedule):
     quick = changed(recipe, "fitting.rates", field=0.01, motion_weights=5e-3)
-    length = schedule.model_copy(update={"warmup": 60, "trajectory": 61, "fusion": 62})
-    runs = []
-    for _ in range(2):
-        terms = []
-        fitted, _, cost = warm_up(
-            observations, quick, length, device=CPU, generator=seeded(),
-            report=lambda _, found, to=terms: to.append(found),
-        )  # fmt: skip
-        runs.append(fitted)
+    _, terms = fitted_twice(observations, quick, schedule, 60)
     for name, share in {"l1": 0.75, "mask": 0.75}.items():
         values = [one[name] for one in terms]
         assert sum(values[-10:]) < share * sum(values[:10]), name
-    assert cost["gaussians"] == 0
-    for name, value in runs[0].networks.items():
-        assert torch.equal(value, runs[1].networks[name]), name
-
-
-class Stopped(Exception):
-    pass
 
 
 def test_a_fit_that_was_stopped_ends_with_the_same_bytes(
     observations, recipe, schedule, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(resume, "SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 4)
-    length = schedule.model_copy(update={"warmup": 10, "trajectory": 11, "fusion": 12})
-
-    def fitted(report=lambda *_: None, folder=None):
-        torch.manual_seed(0)
-        return warm_up(
-            observations, recipe, length, device=CPU, generator=seeded(), report=report,
-            folder=folder,
-        )  # fmt: skip
-
-    def stop(iteration, terms):
-        if iteration == 9:
-            raise Stopped
-
-    whole, _, _ = fitted()
-    out = tmp_path / "warmup"
-    with pytest.raises(Stopped), run_folder(out, "key", frozenset()) as folder:
-        fitted(stop, folder)
-    with run_folder(out, "key", frozenset()) as folder:
-        assert folder.progress is not None
-        assert folder.progress.iteration == 7
-        again, _, _ = fitted(folder=folder)
-    assert whole.networks.keys() == again.networks.keys()
-    for name, value in whole.networks.items():
-        assert torch.equal(value, again.networks[name]), name
+    stopped_ends_with_the_same_bytes(
+        partial(fitted, observations, recipe, schedule, 10), monkeypatch, tmp_path / "warmup",
+        refresh=4, stop_at=9, saved_at=7,
+    )  # fmt: skip
 
 
 def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
-    run = FittedRun("capsules-humannerf_small", avatar.to_artifact(1), motion, observations)
-    with pytest.raises(ConfigError, match="kind humannerf_small, which is a volume"):
-        rigged_avatar(run)
-    with pytest.raises(
-        ConfigError, match="kind humannerf_small is no set of Gaussians of one colour each"
-    ):
-        posed_frame(run, 0)
+    no_rig_carries_it(avatar, "which is a volume", observations, motion)
