@@ -167,6 +167,8 @@ def _kind(event: FunctionEvent | None) -> str:
         "_Covariances": "covariance factors kernel",
         "_Isometry": "isometry kernel",
         "_Smoothness": "smoothness kernel",
+        "_PoseSpline": "trajectory kernel",
+        "_KnotDistance": "trajectory kernel",
         "_PictureLosses": "losses kernel",
         "_Layers": "layers",
     }

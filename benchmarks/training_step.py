@@ -9,10 +9,11 @@ turns of a few steps, so that a busy machine slows them alike. The scene is a pe
 `--methods` names some of the methods; all of them take minutes.
 
 Kinds of work: `rasterizer`, `posing kernel`, `covariance factors kernel`, `isometry kernel`,
-`smoothness kernel` and `losses kernel` are native. `layers` is all inside a stack of network
-layers, where products, ReLUs and rounding alternate. `matrix products` is what of that, and of
-everything else but the kernels, are products in the narrow sense. `rasterizer_and_products` is the
-share of the rasterizer, of posing, of covariance factors and of products in the narrow sense:
+`smoothness kernel`, `trajectory kernel` and `losses kernel` are native. `layers` is all inside a
+stack of network layers, where products, ReLUs and rounding alternate. `matrix products` is what of
+that, and of everything else but the kernels, are products in the narrow sense.
+`rasterizer_and_products` is the share of the rasterizer, of posing, of covariance factors and of
+products in the narrow sense:
 posing and covariance factors are products of matrices, written as kernels; the others are none.
 
 Shares are of the step as it runs without a profiler (benchmarks/step_profile.py); `recorded` says

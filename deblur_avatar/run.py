@@ -11,7 +11,6 @@ import math
 import os
 import random
 import resource
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -24,11 +23,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from deblur_avatar.errors import (
-    ArtifactError,
-    ConfigError,
-    FittingError,
-)
+from deblur_avatar.ending import exit_code, raise_again
+from deblur_avatar.errors import ArtifactError, ConfigError
 
 T = TypeVar("T")
 
@@ -40,8 +36,6 @@ THREADS_THAT_PAY = 4  # what is left to torch's one thread is a third of a step 
 
 # Names that seeds are derived from, by today's words: what was renamed draws what it drew before.
 SEED_NAMES = {"agnostic": "blind", "learning_curve": "timeline"}
-
-STOPPED = 128 + signal.SIGINT  # the exit code of a command that a shell's user has stopped
 
 logger = logging.getLogger(__name__)
 
@@ -58,22 +52,17 @@ class Context:
 def command(main: Callable[..., None]) -> None:
     """Run a stage's `main` with its parameters as command-line options, all required.
 
-    What a caller can mend (deblur_avatar/errors.py) becomes one line and exit code 1, and what a
-    caller stops (Ctrl-C) one line and exit code 130.
+    What ends it early becomes one line and an exit code (ending.py).
     """
     parser = argparse.ArgumentParser(description=inspect.getdoc(main))
     for name, parameter in inspect.signature(main).parameters.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=parameter.annotation, required=True)
     arguments = vars(parser.parse_args())
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    try:
-        main(**arguments)
-    except (ConfigError, ArtifactError, FittingError) as error:
-        sys.stderr.write(f"{type(error).__name__}: {error}\n")
-        raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on from here\n")
-        raise SystemExit(STOPPED) from None
+    raise_again()  # all is loaded
+    code = exit_code(lambda: main(**arguments))
+    if code:
+        raise SystemExit(code)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
 from deblur_avatar import run
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
@@ -20,8 +21,7 @@ def main(
     schedule = load_params(params_file, "schedule", str)
     seed = load_params(params_file, "seed", int)
     with run.stage("evaluate", f"{scene}-{method}", seed) as context:
-        seen = Observations.load(observations)
-        avatar = Avatar.load(fusion / "avatar")
+        seen, avatar = Observations.load(observations), Avatar.load(fusion / "avatar")
         motion = Motion.load(fusion / "motion")
         evaluation = evaluate(seen, Reference.load(reference), avatar, motion, context.device)
         pictures = draw_pictures(evaluation.comparisons, seen, avatar, motion, context.device)

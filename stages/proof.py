@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
 from deblur_avatar import run
 from deblur_avatar.config.proof import ProofParams
 from deblur_avatar.config.reading import load_params

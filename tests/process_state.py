@@ -1,9 +1,13 @@
-"""What a stage switches for its whole process, switched back where one runs beside other tests."""
+"""What a command switches for its whole process, switched back where it runs beside other tests."""
 
+import io
+import logging
 import os
 import random
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import subprocess
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TypeVar
 
 import numpy as np
@@ -26,6 +30,38 @@ def process_state_kept() -> Iterator[None]:
     random.setstate(states[0])
     np.random.set_state(states[1])  # noqa: NPY002
     torch.set_rng_state(states[2])
+
+
+@contextmanager
+def own_log() -> Iterator[None]:
+    """No handlers of others while a command sets up its log, and its own gone after it."""
+    root = logging.getLogger()
+    handlers, level, root.handlers = root.handlers, root.level, []
+    try:
+        yield
+    finally:
+        root.handlers = handlers
+        root.setLevel(level)
+
+
+def ended_here(
+    words: Sequence[str], call: Callable[[], object]
+) -> "subprocess.CompletedProcess[str]":
+    """What a process of such a command would tell that made this call: exit code and all it wrote.
+
+    The code is what the call returns, if that is a number, or leaves with.
+    """
+    out, said, code = io.StringIO(), io.StringIO(), 0
+    with process_state_kept(), own_log(), redirect_stdout(out), redirect_stderr(said):
+        try:
+            result = call()
+            code = result if isinstance(result, int) else 0
+        except SystemExit as end:
+            code = end.code
+        except Exception:
+            traceback.print_exc()
+            code = 1
+    return subprocess.CompletedProcess(words, code, out.getvalue(), said.getvalue())
 
 
 def by_threads(make: Callable[[], T], *counts: int) -> list[T]:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar import run
+from deblur_avatar import ending, run
 from deblur_avatar.errors import ArtifactError, ConfigError
 from tests.process_state import process_state_kept
 
@@ -170,7 +170,7 @@ def test_what_a_caller_stops_is_one_line_and_exit_code_130(monkeypatch, capsys):
     with pytest.raises(SystemExit) as stop:
         run.command(main)
     assert stop.value.code == 130
-    assert capsys.readouterr().err == "stopped; the same command goes on from here\n"
+    assert capsys.readouterr().err == ending.STOPPED_WORDS
 
 
 def test_a_mistake_of_ours_keeps_its_traceback(monkeypatch):

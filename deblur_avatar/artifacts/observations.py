@@ -32,11 +32,13 @@ class Observations(Artifact):
     aside.
     `weights` in [0, 1] say how far a frame's pose is to be trusted; 0 for frames without a person.
     `depth_known`: the poses tell how far joints are from the camera better than one camera can.
+    `pose_std` is how far those poses may be off: the root mean square of a joint's angle of error,
+    radians, as whoever gave them says.
     `occluded_fraction` is the share of the body's surface that the training camera sees in no
     training frame.
     """
 
-    schema: ClassVar[str] = "observations/3"
+    schema: ClassVar[str] = "observations/4"
     names_on_disk: ClassVar[Mapping[str, str]] = {
         "averaging_space": "light",
         "occluded_fraction": "hidden",
@@ -59,12 +61,18 @@ class Observations(Artifact):
     train: tuple[int, ...]  # positions in this artifact
     validation: tuple[int, ...]
     depth_known: bool
+    pose_std: float
     occluded_fraction: float
 
     @property
     def camera(self) -> Camera:
         """The training camera."""
         return self.cameras.camera(self.train_camera)
+
+    @property
+    def shown(self) -> list[int]:
+        """Positions of the training frames that show a person."""
+        return [index for index in self.train if self.weights[index] > 0]
 
     def background(self, position: int) -> UInt8[Tensor, "H W 3"] | None:
         """What is behind the person in one frame, sRGB; None is black."""

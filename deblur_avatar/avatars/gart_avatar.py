@@ -25,7 +25,6 @@ from deblur_avatar.avatars.gart_params import GartFitting, GartParams
 from deblur_avatar.avatars.gaussians import (
     Gaussians,
     face_areas,
-    neighbour_indices,
     sample_surface,
 )
 from deblur_avatar.avatars.harmonic_colors import (
@@ -83,6 +82,7 @@ class GartAvatar(SplatAvatar):
         "whose weights do not sum to 1, whose latent bones a network moves and whose colours "
         "depend on the view, which no skeleton carries"
     )
+    knn: ClassVar[int] = KNN
     params: GartParams
     root: Tensor
 
@@ -164,12 +164,6 @@ class GartAvatar(SplatAvatar):
     def weights_at(self, means: Float[Tensor, "N 3"]) -> Float[Tensor, "N W"]:
         """Weights of joints and latent bones at the Gaussians, and 1 for the translation."""
         return torch.nn.functional.pad(self.weight_volume(means), (0, 1), value=1.0)
-
-    def neighbours(self) -> Int64[Tensor, "N K"]:
-        """The Gaussians nearest to each, as they were when last looked up."""
-        if self._neighbours is None:
-            self._neighbours = neighbour_indices(self.gaussians.means, KNN)
-        return self._neighbours
 
     def parameter_groups(self) -> ParameterGroups:
         """Those of the Gaussians, of both parts of the volume, and of the bones' network."""

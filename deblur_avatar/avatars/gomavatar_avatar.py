@@ -130,7 +130,7 @@ class GomavatarAvatar(AvatarModel):
     ) -> MeshState:
         """Move the canonical vertices with the pose, but for how the body is turned."""
         vertices = self.mesh.vertices
-        opened = self._opened(step)
+        opened = 1.0 if step is None else step.fitting.nonrigid.opened(step)
         if opened is not None:
             frequencies = self.params.nonrigid.frequencies
             encoded = frequency_encoding(vertices, frequencies, hann_window(opened, frequencies))
@@ -209,12 +209,3 @@ class GomavatarAvatar(AvatarModel):
             "normal_consistency": lambda: normal_consistency(posed, faces, pairs),
             "color_consistency": lambda: color_consistency(self.mesh.colors, pairs),
         }
-
-    def _opened(self, step: TrainingStep | None) -> float | None:
-        """How far the window of the non-rigid network is open; None while it waits."""
-        if step is None:
-            return 1.0
-        fitting = step.fitting.nonrigid
-        if not step.past(fitting.start):
-            return None
-        return (step.iteration / step.scale - fitting.start) / (fitting.full - fitting.start)

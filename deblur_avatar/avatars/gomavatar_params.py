@@ -37,10 +37,10 @@ class MeshRates(Params):
 
 
 class OffsetsFitting(Params):
-    """How the network that moves vertices with the pose is fitted."""
+    """How a network that moves vertices, or points, with the pose is fitted."""
 
     rate: Positive
-    start: Iteration  # before it vertices follow the joints alone
+    start: Iteration  # before it they follow the joints alone
     full: Iteration  # from here on it sees all frequencies
 
     @model_validator(mode="after")
@@ -48,6 +48,12 @@ class OffsetsFitting(Params):
         if self.full <= self.start:
             raise ValueError(f"full must be after start = {self.start}, got {self.full}")
         return self
+
+    def opened(self, step: TrainingStep) -> float | None:
+        """How far the network's window is open at a step: 0 to 1 and on; None while it waits."""
+        if not step.past(self.start):
+            return None
+        return (step.iteration / step.scale - self.start) / (self.full - self.start)
 
 
 class MeshRegularisers(Params):

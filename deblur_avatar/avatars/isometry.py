@@ -16,8 +16,8 @@ from typing import Any, Final
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
+from deblur_avatar.avatars.native_terms import NativeTerm
 from deblur_avatar.rendering.native_build import (
     library_or_none,
     pointers,
@@ -74,7 +74,7 @@ def _spacings(
     return squared.clamp(min=torch.finfo(values.dtype).tiny).sqrt()
 
 
-class _Isometry(torch.autograd.Function):
+class _Isometry(NativeTerm):
     @staticmethod
     def forward(ctx: Any, canonical: Tensor, posed: Tensor, neighbours: Tensor) -> Tensor:
         inputs = [value.contiguous() for value in (canonical, posed, neighbours)]
@@ -93,11 +93,6 @@ class _Isometry(torch.autograd.Function):
             loss.fill_(math.nan)
         ctx.save_for_backward(*grads)
         return loss
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        return *(None if own is None else grad * own for own in ctx.saved_tensors), None
 
 
 @cache

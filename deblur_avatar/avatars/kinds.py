@@ -13,9 +13,11 @@ from deblur_avatar.config.reading import parse
 
 AVATARS: Registry[AvatarModel] = Registry(
     {
+        "arah_small": "deblur_avatar.avatars.arah_small_avatar:ArahSmallAvatar",
         "gart": "deblur_avatar.avatars.gart_avatar:GartAvatar",
         "gauhuman": "deblur_avatar.avatars.gauhuman_avatar:GauhumanAvatar",
         "gomavatar": "deblur_avatar.avatars.gomavatar_avatar:GomavatarAvatar",
+        "humannerf_small": "deblur_avatar.avatars.humannerf_small_avatar:HumannerfSmallAvatar",
         "networks": "deblur_avatar.avatars.networks_avatar:NetworksAvatar",
         "plain": "deblur_avatar.avatars.plain_avatar:PlainAvatar",
     }

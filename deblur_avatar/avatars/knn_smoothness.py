@@ -12,8 +12,8 @@ from typing import Any, Final
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
+from deblur_avatar.avatars.native_terms import NativeTerm
 from deblur_avatar.rendering.native_build import (
     library_or_none,
     pointers,
@@ -59,7 +59,7 @@ def knn_smoothness_reference(
     return apart.abs().sum() / max(1, apart.numel())
 
 
-class _Smoothness(torch.autograd.Function):
+class _Smoothness(NativeTerm):
     @staticmethod
     def forward(ctx: Any, values: Tensor, neighbours: Tensor) -> Tensor:
         inputs = values.contiguous(), neighbours.contiguous()
@@ -73,12 +73,6 @@ class _Smoothness(torch.autograd.Function):
             raise IndexError(f"neighbours must be indices of {len(values)} Gaussians")
         ctx.save_for_backward(grad)
         return loss
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        (grad,) = ctx.saved_tensors
-        return upstream * grad, None
 
 
 @cache

@@ -7,7 +7,7 @@ to it in one batch. World coordinates, metres. N Gaussians.
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float, Int64
@@ -67,6 +67,7 @@ class SplatAvatar(AvatarModel):
     """Canonical Gaussians; a kind says how they are deformed, skinned and coloured."""
 
     gaussians: Gaussians
+    knn: ClassVar[int] = KNN  # of `neighbours`
 
     def __init__(
         self,
@@ -186,7 +187,7 @@ class SplatAvatar(AvatarModel):
     def neighbours(self) -> Int64[Tensor, "N K"]:
         """The Gaussians nearest to each, as they were when last looked up."""
         if self._neighbours is None:
-            self._neighbours = neighbour_indices(self.gaussians.means, KNN)
+            self._neighbours = neighbour_indices(self.gaussians.means, self.knn)
         return self._neighbours
 
     def invalidate_neighbours(self) -> None:

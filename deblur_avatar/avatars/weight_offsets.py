@@ -13,6 +13,8 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
+from deblur_avatar.avatars.frequency_encoding import frequency_encoding
+
 # Not a parameter: GauHuman's. Joints that a vertex does not follow stay all but out of reach.
 SMALLEST_WEIGHT = 1e-9
 
@@ -48,20 +50,16 @@ class WeightOffsets(nn.Module):
             points: canonical positions.
             nearest: weights of the vertex nearest to each.
         """
-        encoded = frequency_encoding(points.detach(), self._frequencies)
+        encoded = encoded_positions(points.detach(), self._frequencies)
         value = torch.cat([self.layers(encoded), encoded], dim=1)
         offsets = self.last(self.again(value).relu())
         return ((nearest + SMALLEST_WEIGHT).log() + offsets).softmax(dim=1)
 
 
-def frequency_encoding(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "N E"]:
-    """Positions, and sine and cosine of them at 1, 2, 4, ... radians a metre.
-
-    Source: Mildenhall et al., "NeRF", ECCV 2020, without the factor pi, as its code has it.
-    """
-    rates = 2.0 ** torch.arange(count, dtype=points.dtype, device=points.device)
-    angles = (rates[:, None] * points[:, None, :]).flatten(1)
-    return torch.cat([points, angles.sin(), angles.cos()], dim=1)
+def encoded_positions(points: Float[Tensor, "N 3"], frequencies: int) -> Float[Tensor, "N E"]:
+    """Positions, all their sines, all their cosines: the order that saved networks know."""
+    waves = frequency_encoding(points, frequencies).unflatten(1, (frequencies, 2, 3))
+    return torch.cat([points, waves.transpose(1, 2).flatten(1)], dim=1)
 
 
 def nearest_weights(

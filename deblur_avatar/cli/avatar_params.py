@@ -19,6 +19,7 @@ from deblur_avatar.sources.footage import read_footage
 
 PAGE = "avatar.html"
 BODY, PLAIN = "anny", "plain"
+ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
 DEFAULT_AVATAR = "paper"
 ADDED_TO = (
     "warmups",
@@ -114,6 +115,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
             "background": "auto",
             # By the detector's guess and feet that stand; refined on one camera alone it drifts.
             "depth": "known",
+            "pose_std_degrees": ESTIMATED_POSE_STD,
             "margin": 0.1,
             "validation_stride": 10,
         },

@@ -3,13 +3,10 @@
 import argparse
 import importlib
 import logging
-import os
-import signal
 import sys
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 
-from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
+from deblur_avatar.ending import exit_code, leave_at_once, raise_again
 
 # Modules and what they do; a module is imported once it is asked for, because torch takes seconds.
 COMMANDS = {
@@ -25,9 +22,6 @@ COMMANDS = {
     "view": "turn a fitted avatar by hand in a browser on this machine",
     "completion": "print what completes these words on a shell's command line",
 }
-INTERRUPTED = 130  # as shells say it
-STOPPED = "\nStopped. The same command goes on where it stopped.\n"
-STANDARD_ERROR = 2
 MANUAL = """\
 first steps, in any folder:
   deblur-avatar setup
@@ -60,37 +54,13 @@ def main(words: Sequence[str] | None = None) -> int:
         words: of the command line; the process's own if None.
     """
     words = sys.argv[1:] if words is None else list(words)
-    with _leaving_at_once():
+    leave_at_once()  # not KeyboardInterrupt while torch is loaded, which takes seconds
+    try:
         asked = command_parser(words[:1]).parse_args(words)
-    try:
-        logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
-        code: int = asked.execute(asked)
-    except (ConfigError, ArtifactError, FittingError) as error:
-        # One line, whatever a parser within says: YAML's shows the place in several.
-        sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())}\n")
-        return 1
-    except KeyboardInterrupt:
-        sys.stderr.write(STOPPED)
-        return INTERRUPTED
-    return code
-
-
-@contextmanager
-def _leaving_at_once() -> Iterator[None]:
-    """End the process at Ctrl-C while torch is loaded, which takes seconds.
-
-    An import that is broken off leaves half a module, in which anything may be raised.
-    """
-
-    def leave(*_: object) -> None:
-        os.write(STANDARD_ERROR, STOPPED.encode())
-        os._exit(INTERRUPTED)
-
-    before = signal.signal(signal.SIGINT, leave)
-    try:
-        yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        raise_again()
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
+    return exit_code(lambda: asked.execute(asked))
 
 
 def command_parser(loaded: Collection[str]) -> argparse.ArgumentParser:

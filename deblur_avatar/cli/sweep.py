@@ -14,6 +14,7 @@ and goes on from its checkpoint. Stopped, the same command goes on. docs/scaling
 import argparse
 import logging
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -195,12 +196,14 @@ class _Shown:
     def __init__(self, bar: "tqdm[None]", cores: int) -> None:
         self.bar = bar
         self.cores = cores
+        self.out = sys.stdout  # whatever an engine prints goes elsewhere
 
     def __call__(self, progress: Progress, ended: Ended | None) -> None:
         """Tell of an end, and of where things stand."""
         if ended and ended.end != "done":
             again = "" if ended.name in progress.failed else "; it is begun again"
-            self.bar.write(f"{ended.name} {ended.end} ({ended.where}){again}: {_tail(ended.said)}")
+            said = f"{ended.name} {ended.end} ({ended.where}){again}: {_tail(ended.said)}"
+            self.bar.write(said, file=self.out)
         elif ended and self.bar.disable:
             count = f"{len(progress.done)} of {len(progress.tasks)}"
             logger.info("%s: %s in %.0f s (%s)", count, ended.name, ended.seconds, ended.where)

@@ -121,6 +121,18 @@ def expand_environment(text: str, where: str) -> str:
     return text
 
 
+def own_sections(path: Path) -> dict[str, Any]:
+    """The sections that stand in a parameter file itself, unchecked.
+
+    Raises:
+        ConfigError: if it is missing, is not YAML, or holds no sections.
+    """
+    content = read_yaml(path)
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path} must hold sections, got {content!r:.60}")
+    return content
+
+
 def missing_file(text: str, where: str, wanted: str, *, folder: bool = False) -> tuple[str, ...]:
     """Why a file that a parameter names cannot be read here: one reason, or none if it is there.
 

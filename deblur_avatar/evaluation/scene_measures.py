@@ -67,7 +67,7 @@ def blur_extent(observations: Observations) -> dict[str, float]:
 
 def seen_azimuths(observations: Observations) -> Float[np.ndarray, " F"]:
     """Where the camera stood about the body in training frames: degrees, 0 front, 90 left."""
-    frames = [index for index in observations.train if observations.weights[index] > 0]
+    frames = observations.shown
     poses = observations.poses.at(frames)
     centre = camera_centres(observations.camera.viewmat)
     pelvis = posed(observations.body, poses).joints[:, 0]

@@ -46,7 +46,7 @@ def posed_gaussians(
         frame: training position whose latent code the colours are of; -1 for the last.
 
     Raises:
-        ConfigError: if the avatar is not made of Gaussians.
+        ConfigError: if the avatar is no set of Gaussians of one colour each.
     """
     model = _splats(model)
     device = model.betas.device
@@ -71,7 +71,7 @@ def posed_frame(run: FittedRun, frame: int) -> PosedGaussians:
     """The avatar of a run at the middle of one frame's exposure, as the training camera sees it.
 
     Raises:
-        ConfigError: if there is no such frame, or the avatar is not made of Gaussians.
+        ConfigError: if there is no such frame, or the avatar is no set of Gaussians.
     """
     count = len(run.motion.timestamps)
     if frame >= count:
@@ -85,7 +85,7 @@ def posed_motion(run: FittedRun, poses: Poses) -> Iterator[PosedGaussians]:
     """The avatar of a run in one pose after the other, as the training camera sees it.
 
     Raises:
-        ConfigError: if the avatar is not made of Gaussians.
+        ConfigError: if the avatar is no set of Gaussians of one colour each.
     """
     observations = run.observations
     model = avatar_from_artifact(run.avatar, observations.body, torch.device("cpu"))
@@ -99,7 +99,7 @@ def canonical_colors(
     """Where Gaussians are in the canonical pose, their sRGB colours there, their opacities.
 
     Raises:
-        ConfigError: if the avatar is not made of Gaussians.
+        ConfigError: if the avatar is no set of Gaussians of one colour each.
     """
     model = _splats(model)
     joints = len(model.body.parents)
@@ -115,7 +115,10 @@ def canonical_colors(
 
 def _splats(model: AvatarModel) -> SplatAvatar:
     if not isinstance(model, SplatAvatar):
-        raise ConfigError(f"an avatar of kind {model.kind} has no Gaussians to take out")
+        raise ConfigError(
+            f"an avatar of kind {model.kind} is no set of Gaussians of one colour each, and such "
+            "files hold nothing else; videos and the live viewer (deblur-avatar view) show it"
+        )
     return model
 
 

@@ -23,16 +23,11 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
     continuous,
-    quat_conjugate,
-    quat_multiply,
     quat_to_axis_angle,
 )
-from deblur_avatar.geometry.splines import (
-    fit_knots,
-    spline_points,
-    spline_quats,
-)
+from deblur_avatar.geometry.splines import fit_knots
 from deblur_avatar.motion.knot_spacing import choose_spacing
+from deblur_avatar.motion.pose_spline import knot_distance, pose_spline
 from deblur_avatar.motion.shutter_certainty import GUESS_STD, MAX_LOG_RATIO, shutter_std
 from deblur_avatar.motion.trajectory import (
     LEVER,
@@ -229,15 +224,13 @@ class ClipMotion(Trajectory):
     def at(self, frame: int, u: Float[Tensor, " S"]) -> Instants:
         """The piece of the trajectory that one exposure sees."""
         times = self.middles[frame] + (torch.cat([u, u.new_tensor([0.5])]) - 0.5) * self.shutter
-        quats = spline_quats(axis_angle_to_quat(self.axis_angle), times)
-        transl = spline_points(self.transl, times)
+        quats, transl = pose_spline(self.axis_angle, self.transl, times)
         return Instants(quats[:-1], transl[:-1], quats[-1], transl[-1])
 
     def initial(self, frame: int) -> Instants:
         """The middle of one exposure as it was before fitting."""
         time = self.middles[frame : frame + 1]
-        quats = spline_quats(axis_angle_to_quat(self.initial_axis_angle), time)
-        transl = spline_points(self.initial_transl, time)
+        quats, transl = pose_spline(self.initial_axis_angle, self.initial_transl, time)
         return Instants(quats, transl, quats[0], transl[0])
 
     def num_samples(self, frames: int) -> Int64[Tensor, " F"]:
@@ -324,11 +317,12 @@ class ClipMotion(Trajectory):
     def priors(self, frame: int, instants: Instants, observations: Observations) -> Priors:
         """Penalties for leaving the first estimate, and for another shutter than guessed.
 
-        `anchor` is the mean squared distance of the knots from the first ones, in radians of a
-        joint's turn; `depth` is that of the joints' depths at the middle of this exposure, where
-        other cameras have told them; `shutter` is the squared logarithm of its ratio to the guess.
+        `anchor` is the mean squared distance of the knots from the first ones, in units of how far
+        the given poses may be off (`pose_std`); `depth` is that of the joints' depths at the middle
+        of this exposure, where other cameras have told them; `shutter` is the squared logarithm of
+        its ratio to the guess.
         """
-        priors: Priors = {"anchor": self._anchor}
+        priors: Priors = {"anchor": lambda: self._anchor() / observations.pose_std**2}
         if self.log_shutter.requires_grad:
             priors["shutter"] = self.log_shutter.square
         if observations.depth_known:
@@ -336,11 +330,8 @@ class ClipMotion(Trajectory):
         return priors
 
     def _anchor(self) -> Float[Tensor, ""]:
-        quats = axis_angle_to_quat(self.axis_angle)
-        initial = axis_angle_to_quat(self.initial_axis_angle)
-        return _size(quat_to_axis_angle(quat_multiply(quat_conjugate(initial), quats))) + _size(
-            (self.transl - self.initial_transl) / LEVER
-        )
+        first = self.initial_axis_angle, self.initial_transl
+        return knot_distance(self.axis_angle, self.transl, first, LEVER)
 
     def _depth(
         self, frame: int, instants: Instants, observations: Observations
@@ -361,8 +352,3 @@ def _depths(instants: Instants, observations: Observations) -> Float[Tensor, " J
     )
     viewmat = observations.camera.viewmat.to(transl)
     return places @ viewmat[2, :3] + viewmat[2, 3]
-
-
-def _size(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, ""]:
-    """Mean squared length; 0 of none."""
-    return vectors.square().sum(-1).sum() / max(vectors[..., 0].numel(), 1)

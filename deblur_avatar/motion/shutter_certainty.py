@@ -37,7 +37,7 @@ def shutter_std(exposed: Exposed, log_shutter: Tensor, observations: Observation
     Source: the sandwich estimator with clusters (Huber 1967; Liang and Zeger 1986) of least squares
     on the pixels.
     """
-    frames = [index for index in observations.train if observations.weights[index] > 0]
+    frames = observations.shown
     parts = min(PARTS, len(frames))
     slopes, curvatures = torch.zeros(parts), torch.zeros(parts)
     middle = float(log_shutter.detach().clamp(STEP - MAX_LOG_RATIO, MAX_LOG_RATIO - STEP))

@@ -28,8 +28,9 @@ from pathlib import Path
 from typing import Any
 
 from deblur_avatar.config.proof import files_of
-from deblur_avatar.config.reading import read_yaml
+from deblur_avatar.config.reading import own_sections, parse
 from deblur_avatar.config.syntax import CPP, PACKAGES, content_hash, places_of_kinds, stripped
+from deblur_avatar.ending import exit_code
 
 SCRIPTS = ("stages", "benchmarks/stress/stages")
 AREAS = ("experiments", "avatars")
@@ -124,12 +125,17 @@ def registered(root: Path, registry: str) -> dict[str, tuple[str, Path]]:
 
 
 def kinds_asked_for(folder: Path, section: str) -> dict[str, str]:
-    """The kind that each entry of a section names, of the file where `from` places the section."""
+    """The kind that each entry of a section names, of the file where `from` places the section.
+
+    Raises:
+        ConfigError: if one of the two files does not hold sections, or the section no entries.
+    """
     path = folder / PARAMS
-    places = read_yaml(path).get("from") if path.is_file() else None
-    if not isinstance(places, dict) or section not in places:
+    places = own_sections(path).get("from") or {} if path.is_file() else {}
+    if section not in parse(dict, places, f"{path}: from"):
         return {}
-    entries = read_yaml(folder / places[section]).get(section) or {}
+    path = folder / parse(str, places[section], f"{path}: from.{section}")
+    entries = parse(dict, own_sections(path).get(section) or {}, f"{path}: {section}")
     return {name: _at(entry, REGISTERED[section].kind) for name, entry in entries.items()}
 
 
@@ -279,4 +285,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(exit_code(main))

@@ -5,6 +5,7 @@ with the same poses (for `oracle`), and the sharp frames with exact poses (for `
 """
 
 import logging
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.person_crops import person_crops
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
-from deblur_avatar.config.section import NonNegative, Params
+from deblur_avatar.config.section import NonNegative, Params, Positive
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import Background, BackgroundKind, background_of
@@ -38,7 +39,6 @@ from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
 from deblur_avatar.imaging.matting import (
     comparable_pixels,
     lift_person,
-    no_plate,
     scenery,
     trim_mattes,
 )
@@ -56,6 +56,7 @@ class PreprocessParams(Params):
         "known", "unknown"
     ]  # known: the poses come from several views, say, and tell how
     # far joints are from the camera better than the training camera can
+    pose_std_degrees: Positive  # how far the poses may be off: root mean square of a joint's angle
     margin: NonNegative  # of the crop, as a share of the person's box
     validation_stride: Annotated[int, Field(ge=2)]  # every n-th frame is set aside
 
@@ -161,12 +162,11 @@ def _pictures(
     small = cut(mattes)
     if background.kind == "none":
         return _Pictures(cut(frames), small, None, None)
+    plates = background.distinct
     if background.kind == "matte":
-        plates = [no_plate(matte) for matte in mattes]
         lifted = lift_person(frames, mattes, plates, cast(AveragingSpace, averaging_space))
         nowhere = torch.zeros_like(small, dtype=torch.bool)
         return _Pictures(cut(lifted), small, comparable_pixels(small, nowhere), None)
-    plates = background.distinct
     behind = cut(torch.stack([plate.picture for plate in plates]))
     known = cut(torch.stack([plate.known for plate in plates]).to(torch.uint8) * 255) == 255
     shown, comparable = scenery(cut(frames), small, behind, known)
@@ -210,6 +210,7 @@ def _observations(
         train=train,
         validation=validation,
         depth_known=params.depth == "known",
+        pose_std=math.radians(params.pose_std_degrees),
         occluded_fraction=occluded_fraction(
             body, track.poses.at(list(train)), cameras, clip.train_camera
         ),

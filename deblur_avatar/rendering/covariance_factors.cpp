@@ -7,12 +7,6 @@
 
 #include <cstdint>
 
-#ifdef __clang__
-#pragma clang fp contract(off)
-#else
-#pragma GCC optimize("-ffp-contract=off")
-#endif
-
 namespace {
 
 constexpr float TINY = 1.17549435e-38f;  // added to |q|^2, as torch's twin does

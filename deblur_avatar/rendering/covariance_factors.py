@@ -20,6 +20,7 @@ from torch.autograd.function import once_differentiable
 
 from deblur_avatar.geometry.rotations import quat_multiply, quat_to_matrix
 from deblur_avatar.rendering.native_build import (
+    UNCONTRACTED,
     library_or_none,
     pointers,
 )
@@ -121,7 +122,7 @@ def _call(name: str, count: int, *tensors: Tensor | None) -> None:
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    library = library_or_none(KERNEL, "Gaussians are turned")
+    library = library_or_none(KERNEL, "Gaussians are turned", further=UNCONTRACTED)
     if library is None:
         return None
     tensors = {"factors": 4, "factors_backward": 7, "covariances": 2, "covariances_backward": 3}

@@ -35,6 +35,8 @@ FLAGS: Final = (
     *("-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-ffinite-math-only"),
 )
 OPENMP: Final = "-fopenmp"
+# For kernels whose sums are to be torch's to the last bit: no product and sum in one rounding.
+UNCONTRACTED: Final = ("-ffp-contract=off",)
 
 COMPILE_TIMEOUT = 600  # seconds; it takes three, with sanitizers thirty, on a busy machine more
 
@@ -52,18 +54,21 @@ def pointers(*tensors: Tensor | None) -> list[ctypes.c_void_p]:
     return [ctypes.c_void_p(None if t is None else t.data_ptr()) for t in tensors]
 
 
-def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:
+def load_library(
+    source: Path, defines: Sequence[str] = (), further: Sequence[str] = ()
+) -> ctypes.CDLL:
     """Compile a C++ source, unless that has been done before, and load it.
 
     Args:
         source: one self-contained file with a plain C interface.
         defines: preprocessor definitions, `NAME=value`.
+        further: flags of this kernel alone.
 
     Raises:
         BuildError: there is no compiler, or it fails; with what it said.
     """
     compiler = find_compiler()
-    flags = [*FLAGS, *(f"-D{define}" for define in defines)]
+    flags = [*FLAGS, *further, *(f"-D{define}" for define in defines)]
     flags += shlex.split(os.environ.get(FLAGS_VARIABLE, ""))
     library = cache_folder() / f"{source.stem}-{_key(source, compiler, flags)}.so"
     if not library.exists():
@@ -75,16 +80,19 @@ def load_library(source: Path, defines: Sequence[str] = ()) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-def library_or_none(source: Path, what: str, defines: Sequence[str] = ()) -> ctypes.CDLL | None:
+def library_or_none(
+    source: Path, what: str, defines: Sequence[str] = (), further: Sequence[str] = ()
+) -> ctypes.CDLL | None:
     """The same, of a kernel that has a twin in plain torch: None and a warning if it cannot be had.
 
     Args:
         source: as above.
         what: is done in plain torch then; begins the warning.
         defines: as above.
+        further: as above.
     """
     try:
-        return load_library(source, defines)
+        return load_library(source, defines, further)
     except BuildError as error:
         warnings.warn(f"{what} in plain torch, slowly: {error}", stacklevel=3)
         return None

@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from deblur_avatar.rendering.covariance_factors import covariances_reference
 from deblur_avatar.rendering.native_build import (
@@ -25,6 +26,9 @@ from deblur_avatar.rendering.native_build import (
 from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("posing.cpp")
+
+# Groups of weights that are still held by someone, and the version of the weights they are of.
+_KNOWN: Final = WeakTensorKeyDictionary()
 
 
 def pose_gaussians(
@@ -70,7 +74,7 @@ class _Posing(torch.autograd.Function):
         sizes = (poses, count, joints, kernel_threads())
         library = _library()
         assert library is not None
-        groups = _grouped(library, lbs_weights.contiguous())
+        groups = _groups_of(library, lbs_weights)
         inputs = [means.contiguous(), covariance_factors.contiguous(), *groups, rows]
         posed = means.new_empty(poses, count, 3), means.new_empty(poses, count, 6)
         library.pose(*sizes, *pointers(*inputs, *posed))
@@ -97,6 +101,17 @@ class _Posing(torch.autograd.Function):
         )
         transforms_grad = torch.nn.functional.pad(rows_grad.permute(1, 0, 2, 3), (0, 0, 0, 1))
         return *grads, weights_grad, transforms_grad
+
+
+def _groups_of(library: ctypes.CDLL, lbs_weights: Tensor) -> list[Tensor]:
+    """What `_grouped` finds, once for weights that are not learned: a fit keeps them many steps."""
+    if lbs_weights.requires_grad:
+        return _grouped(library, lbs_weights.contiguous())
+    version, groups = _KNOWN.get(lbs_weights, (None, []))
+    if version != lbs_weights._version:
+        groups = _grouped(library, lbs_weights.contiguous())
+        _KNOWN[lbs_weights] = lbs_weights._version, groups
+    return groups
 
 
 def _grouped(library: ctypes.CDLL, lbs_weights: Tensor) -> list[Tensor]:

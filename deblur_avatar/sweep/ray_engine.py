@@ -7,9 +7,11 @@ goes through it: artifacts lie in the folder and in DVC's cache.
 import os
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,10 @@ class RayEngine(Clock):
         self.folder = folder.resolve()
         self.environment = dict(environment)
         ray.init(address=address, log_to_driver=False, include_dashboard=address is None)
+        # What a raylet says Ray prints to standard output, and no setting of its own keeps it away
+        # (2.60, `listen_error_messages`); that is the sweep's, whose log and bar hold it already.
+        self._aside = redirect_stdout(sys.stderr)
+        self._aside.__enter__()
         self._running: dict[Any, tuple[Task, float]] = {}
 
     def has_room(self, task: Task) -> bool:
@@ -77,6 +83,7 @@ class RayEngine(Clock):
             ray.cancel(reference, force=True)
         self._running.clear()
         ray.shutdown()
+        self._aside.__exit__(None, None, None)
 
 
 @ray.remote

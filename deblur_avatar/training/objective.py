@@ -111,10 +111,9 @@ def _weights_of_losses(recipe: RecipeParams, observations: Observations) -> dict
     hold for a picture of which the person is `PERSON_SHARE`.
     """
     weights = dict(recipe.losses)
-    shown = [index for index in observations.train if observations.weights[index] > 0]
-    share = float(observations.mattes[shown].float().mean()) / 255 if shown else 0.0
-    if recipe.mean_over == "picture" or share == 0:
+    if recipe.mean_over == "picture":
         return weights
+    share = float(observations.mattes[observations.shown].float().mean()) / 255
     larger = {name for name in weights if LOSSES[name].region != "box"}
     return {
         name: weight * (PERSON_SHARE / share if name in larger else 1.0)

@@ -23,12 +23,6 @@
 #include <memory>
 #include <vector>
 
-#ifdef __clang__
-#pragma clang fp contract(off)
-#else
-#pragma GCC optimize("-ffp-contract=off")
-#endif
-
 namespace {
 
 constexpr int64_t C = 3;  // channels

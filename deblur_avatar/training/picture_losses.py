@@ -19,6 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from deblur_avatar.imaging import color
 from deblur_avatar.rendering.native_build import (
+    UNCONTRACTED,
     library_or_none,
     pointers,
 )
@@ -120,7 +121,7 @@ def _library() -> ctypes.CDLL | None:
         name: getattr(color, name) for name in ("LINEAR_KNEE", "SLOPE", "OFFSET", "EXPONENT")
     }
     defines = [f"{name}={value}" for name, value in constants.items()]
-    library = library_or_none(KERNEL, "Losses are found", defines)
+    library = library_or_none(KERNEL, "Losses are found", defines, UNCONTRACTED)
     if library is None:
         return None
     sizes = [*[ctypes.c_int64] * 2, *[ctypes.c_int] * 2]

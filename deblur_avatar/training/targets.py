@@ -42,12 +42,23 @@ class Target:
         return image if self.comparable is None else image * self.comparable[..., None]
 
 
-class Targets:
-    """The training frames that show a person, at one size; full ones are converted when asked for.
+def training_frames(observations: Observations) -> list[int]:
+    """Positions of the training frames that show a person.
 
     Raises:
         ArtifactError: if there is none, or the mask of one is black.
     """
+    frames = observations.shown
+    if not frames:
+        raise ArtifactError("no training frame shows a person; check masks and weights")
+    for index in frames:
+        if not bool(observations.mattes[index].any()):
+            raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
+    return frames
+
+
+class Targets:
+    """The frames at one size, each with what is behind the person; full ones are never kept."""
 
     def __init__(self, observations: Observations, share: float, device: torch.device) -> None:
         self._observations, self._share, self._device = observations, share, device
@@ -56,48 +67,45 @@ class Targets:
         height, width = observations.frames.shape[1:3]
         camera = replace(observations.camera.to(device), width=width, height=height)
         self.camera = camera if share == 1 else camera.binned(share)
-        self.frames = [index for index in observations.train if observations.weights[index] > 0]
-        if not self.frames:
-            raise ArtifactError("no training frame shows a person; check masks and weights")
-        for index in self.frames:
-            if not bool(observations.mattes[index].any()):
-                raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
 
     def __getitem__(self, index: int) -> Target:
         """One frame."""
         if self._share == 1:
-            return target_of(self._observations, index, self._device, self._background(index))
+            return self._converted(index)
         if index not in self._smaller:
-            background = self._background(index)
-            target = target_of(self._observations, index, self._device, background)
-            space = self._observations.averaging_space
-            self._smaller[index] = _smaller(target, self.camera, space)
+            self._smaller[index] = self._converted(index)
         return self._smaller[index]
 
+    def _converted(self, index: int) -> Target:
+        target = target_of(self._observations, index, self._device)
+        if self._share != 1:
+            target = _smaller(target, self.camera, self._observations.averaging_space)
+        return replace(target, background=self._background(index))
+
     def _background(self, index: int) -> Float[Tensor, "H W 3"] | None:
-        """Light behind the person at full size; that of a still camera is converted once."""
+        """Light behind the person; that of a still camera is converted once."""
+        if self._still is not None:
+            return self._still
+        light = light_behind(self._observations, index, self._device)
+        if light is None:
+            return None
+        if self._share != 1:
+            light = _averaged(light, self.camera)
         held = self._observations.backgrounds
-        if held is None or len(held) > 1:
-            return light_behind(self._observations, index, self._device)
-        if self._still is None:
-            self._still = light_behind(self._observations, index, self._device)
-        return self._still
+        if held is not None and len(held) == 1:
+            self._still = light
+        return light
 
 
-def target_of(
-    observations: Observations,
-    index: int,
-    device: torch.device,
-    background: Float[Tensor, "H W 3"] | None = None,
-) -> Target:
-    """Bring one frame, whose mask shows a person, to the device."""
+def target_of(observations: Observations, index: int, device: torch.device) -> Target:
+    """Bring one frame, whose mask shows a person, to the device; without its background."""
     image = observations.comparable_part(observations.frames[index].to(device).float() / 255, index)
     matte = observations.mattes[index].to(device).float() / 255
     comparable = None
     if observations.comparable is not None:
         comparable = observations.comparable[index].to(device).float() / 255
     weight = float(observations.weights[index])
-    return Target(image, matte, comparable, _box(matte), weight, background)
+    return Target(image, matte, comparable, _box(matte), weight)
 
 
 def _box(matte: Float[Tensor, "H W"]) -> tuple[int, int, int, int]:
@@ -114,18 +122,19 @@ def _box(matte: Float[Tensor, "H W"]) -> tuple[int, int, int, int]:
 
 def _smaller(target: Target, camera: Camera, averaging_space: AveragingSpace | str) -> Target:
     """The same frame as a binned camera sees it."""
-    size = camera.height, camera.width
-
-    def averaged(values: Float[Tensor, "H W *C"]) -> Float[Tensor, "h w *C"]:
-        planes = values.reshape(*values.shape[:2], -1).permute(2, 0, 1)
-        small = torch.nn.functional.adaptive_avg_pool2d(planes[None], size)[0].permute(1, 2, 0)
-        return small.reshape(*size, *values.shape[2:]).contiguous()
-
-    image = encode(averaged(decode(target.image, averaging_space)), averaging_space)
-    matte, comparable = averaged(target.matte), target.comparable
+    light = _averaged(decode(target.image, averaging_space), camera)
+    image = encode(light, averaging_space)
+    matte, comparable = _averaged(target.matte, camera), target.comparable
     if comparable is not None:
         # Only where all that a pixel averages means something.
-        comparable = (averaged(comparable) > 1 - 1e-6).to(matte)
+        comparable = (_averaged(comparable, camera) > 1 - 1e-6).to(matte)
         image = image * comparable[..., None]
-    background = None if target.background is None else averaged(target.background)
-    return Target(image, matte, comparable, _box(matte), target.weight, background)
+    return Target(image, matte, comparable, _box(matte), target.weight)
+
+
+def _averaged(values: Float[Tensor, "H W *C"], camera: Camera) -> Float[Tensor, "h w *C"]:
+    """Area averages over the pixels of a binned camera."""
+    size = camera.height, camera.width
+    planes = values.reshape(*values.shape[:2], -1).permute(2, 0, 1)
+    small = torch.nn.functional.adaptive_avg_pool2d(planes[None], size)[0].permute(1, 2, 0)
+    return small.reshape(*size, *values.shape[2:]).contiguous()

@@ -41,7 +41,7 @@ from deblur_avatar.training.supervision import (
     Supervision,
     still_frames,
 )
-from deblur_avatar.training.targets import Target, Targets
+from deblur_avatar.training.targets import Target, Targets, training_frames
 
 Report = Callable[[int, Mapping[str, float]], None]
 
@@ -70,8 +70,9 @@ class AvatarFit:
         self._params, self._scale = params, params.schedule.scale
         self._device, self._generator = device, generator
         self._observations = observations
+        self._frames = training_frames(observations)
         self._level: LevelParams | None = None
-        self._targets = Targets(observations, 1.0, device)
+        self._targets: Targets  # of the level
         recipe = params.recipe
         self.objective = Objective(avatar, trajectory, observations, recipe, params.motion, device)
         self._queue: list[int] = []
@@ -124,7 +125,7 @@ class AvatarFit:
             spent += time.perf_counter() - begin
             if folder is not None and folder.wants(iteration):
                 folder.keep(iteration, spent, self._snapshot(iteration))
-        self.avatar.fill_untrained_latents(self._targets.frames)
+        self.avatar.fill_untrained_latents(self._frames)
         return spent
 
     def step(self, iteration: int, supervision: str, mask: str) -> dict[str, float]:
@@ -255,7 +256,7 @@ class AvatarFit:
 
     def _snapshot(self, iteration: int) -> Snapshot:
         avatar = copy.deepcopy(self.avatar)  # what is lent, and what is looked up, is its own
-        avatar.fill_untrained_latents(self._targets.frames)
+        avatar.fill_untrained_latents(self._frames)
         motion = self.trajectory.to_artifact(avatar.betas, self._observations.timestamps)
         return Snapshot(avatar=avatar.to_artifact(iteration), motion=motion)
 
@@ -305,7 +306,7 @@ class AvatarFit:
     def _is_still(self, index: int) -> bool:
         """Whether a frame counts as still, which is settled once, when it first matters."""
         if self._still is None:
-            self._still = still_frames(self.trajectory, self._targets.frames)
+            self._still = still_frames(self.trajectory, self._frames)
         return index in self._still
 
     def _densify(self, step: TrainingStep, rendering: Rendering) -> None:
@@ -331,7 +332,7 @@ class AvatarFit:
 
     def _next_frame(self) -> int:
         if not self._queue:
-            frames = self._targets.frames
+            frames = self._frames
             order = torch.randperm(
                 len(frames), generator=self._generator, device=self._device
             ).tolist()

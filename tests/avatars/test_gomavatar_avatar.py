@@ -1,3 +1,5 @@
+from functools import partial
+
 import pytest
 import torch
 
@@ -5,38 +7,35 @@ from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.frequency_encoding import frequency_encoding, hann_window
 from deblur_avatar.avatars.gomavatar_avatar import GomavatarAvatar
 from deblur_avatar.avatars.gomavatar_params import GomavatarParams
-from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.mesh_gaussians import face_gaussians
 from deblur_avatar.avatars.mesh_terms import laplacian, mesh_edges
-from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.avatars.surface_projection import vertex_normals
 from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import FittedRun
-from deblur_avatar.exports.posed_gaussians import posed_frame
-from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.motion.frame import FixedMotion, FixedParams
-from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.rendering.conventions import eps2d_of
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 from deblur_avatar.rendering.rasterize import rasterize
-from deblur_avatar.training import resume, trainer
 from deblur_avatar.training.optimizers import Optimizers
 from deblur_avatar.training.params import FitParams, RecipeParams
-from deblur_avatar.training.resume import run_folder
+from tests.avatars.network_avatar_checks import (
+    fitted,
+    fitted_twice,
+    is_drawn_as_saved,
+    model_is_refused,
+    no_rig_carries_it,
+    seeded,
+    stopped_ends_with_the_same_bytes,
+)
 from tests.changed_parameters import changed
 
 pytestmark = pytest.mark.portable
 
 CPU = torch.device("cpu")
 FRAMES = 5
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture
@@ -401,80 +400,29 @@ def test_a_window_that_closes_before_it_opens_is_refused(content):
     ],
 )
 def test_models_that_cannot_be_made_are_refused(content, path, value):
-    model = content["model"]
-    *above, last = path.split(".")
-    section = model[above[0]] if above else model
-    section[last] = value
-    with pytest.raises(ConfigError, match=last):
-        parse(GomavatarParams, model, "model")
+    model_is_refused(GomavatarParams, content["model"], path, value)
 
 
 def test_a_saved_avatar_is_drawn_as_it_was(loud, body, swinging, camera, tmp_path):
-    poses = swinging(2, 30.0)
-    saved = loud.to_artifact(7)
-    assert saved.model["params"]["kind"] == "gomavatar"
-    saved.save(tmp_path / "avatar")
-    again = avatar_from_artifact(type(saved).load(tmp_path / "avatar"), body, CPU)
-    before, after = render_avatar(loud, poses, camera), render_avatar(again, poses, camera)
-    assert torch.equal(before[0], after[0])
-    assert torch.equal(before[1], after[1])
-
-
-def fitted(observations, recipe, schedule, iterations, report=lambda *_: None, folder=None):
-    quick = schedule.model_copy(
-        update={"warmup": iterations, "trajectory": iterations + 1, "fusion": iterations + 2}
-    )
-    return warm_up(
-        observations, recipe, quick, device=CPU, generator=seeded(), report=report, folder=folder
-    )
+    is_drawn_as_saved(loud, body, swinging(2, 30.0), camera, tmp_path / "avatar")
 
 
 def test_a_short_fit_explains_the_frames_better(observations, recipe, schedule):
     fast = {"vertices": 2e-3, "scales": 0.02, "turns": 0.02, "colors": 0.03}
-    quick, runs = changed(recipe, "fitting.rates", **fast), []
-    for _ in range(2):
-        terms = []
-        avatar, _, cost = fitted(
-            observations, quick, schedule, 60, lambda _, found, to=terms: to.append(found)
-        )
-        runs.append(avatar)
+    quick = changed(recipe, "fitting.rates", **fast)
+    _, terms = fitted_twice(observations, quick, schedule, 60)
     for name, share in {"l1": 0.7, "structure": 0.7, "mask": 0.9}.items():
         values = [one[name] for one in terms]
         assert sum(values[-10:]) < share * sum(values[:10]), name
-    assert cost["gaussians"] == 0
-    assert runs[0].networks.keys() == runs[1].networks.keys()
-    for name, value in runs[0].networks.items():
-        assert torch.equal(value, runs[1].networks[name]), name
-
-
-class Stopped(Exception):
-    pass
 
 
 def test_a_fit_that_was_stopped_ends_with_the_same_bytes(
     observations, recipe, schedule, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(resume, "SAVE_EVERY_S", 0.0)
-    monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 6)
-
-    def stop(iteration, terms):
-        if iteration == 15:
-            raise Stopped
-
-    whole, memory, _ = fitted(observations, recipe, schedule, 18)
-    out = tmp_path / "warmup"
-    with (
-        pytest.raises(Stopped),
-        run_folder(out, "key", frozenset()) as folder,
-    ):
-        fitted(observations, recipe, schedule, 18, stop, folder)
-    with run_folder(out, "key", frozenset()) as folder:
-        assert folder.progress is not None
-        assert folder.progress.iteration == 11
-        again, remembered, _ = fitted(observations, recipe, schedule, 18, folder=folder)
-    assert whole.networks.keys() == again.networks.keys()
-    for name, value in whole.networks.items():
-        assert torch.equal(value, again.networks[name]), name
+    memory, remembered = stopped_ends_with_the_same_bytes(
+        partial(fitted, observations, recipe, schedule, 18), monkeypatch, tmp_path / "warmup",
+        refresh=6, stop_at=15, saved_at=11,
+    )  # fmt: skip
     assert memory.tensors.keys() == remembered.tensors.keys()
     assert memory.tensors
     for name, value in memory.tensors.items():
@@ -482,8 +430,4 @@ def test_a_fit_that_was_stopped_ends_with_the_same_bytes(
 
 
 def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
-    run = FittedRun("capsules-gomavatar", avatar.to_artifact(1), motion, observations)
-    with pytest.raises(ConfigError, match="kind gomavatar, whose vertices a network moves"):
-        rigged_avatar(run)
-    with pytest.raises(ConfigError, match="kind gomavatar has no Gaussians to take out"):
-        posed_frame(run, 0)
+    no_rig_carries_it(avatar, "whose vertices a network moves", observations, motion)

@@ -18,7 +18,7 @@ def recipe(name):
     [
         ("paper", {"precision": "half"}, "precision: input should be 'float32' or 'bfloat16'"),
         ("lean", {"precision": "float32"}, "unknown key 'model.precision'"),
-        ("lean", {"kind": "hair"}, "no kind of this name, there is gart, "),
+        ("lean", {"kind": "hair"}, "no kind of this name, there is arah_small, "),
         ("paper", {"color": None, "nonrigid": None, "skinning": None}, "is of kind plain"),
     ],
 )

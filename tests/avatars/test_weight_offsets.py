@@ -3,7 +3,7 @@ import torch
 
 from deblur_avatar.avatars.weight_offsets import (
     WeightOffsets,
-    frequency_encoding,
+    encoded_positions,
     nearest_weights,
 )
 
@@ -86,8 +86,8 @@ def test_positions_are_seen_as_such_and_at_each_frequency():
     point = torch.tensor([[0.1, -0.2, 0.3]])
     angles = torch.cat([point, 2 * point, 4 * point], dim=1)
     wanted = torch.cat([point, angles.sin(), angles.cos()], dim=1)
-    torch.testing.assert_close(frequency_encoding(point, 3), wanted)
-    assert frequency_encoding(point, 10).shape == (1, 63)
+    torch.testing.assert_close(encoded_positions(point, 3), wanted)
+    assert encoded_positions(point, 10).shape == (1, 63)
 
 
 def test_in_double_precision_it_is_double_and_has_the_gradient_it_says(taught):

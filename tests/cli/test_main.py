@@ -8,6 +8,7 @@ import pytest
 
 from deblur_avatar.cli import main as command
 from deblur_avatar.cli.main import COMMANDS, main
+from deblur_avatar.ending import STOPPED, STOPPED_WORDS
 
 ROOT = Path(__file__).parents[2]
 
@@ -36,7 +37,7 @@ def test_the_manual_says_what_every_exit_code_means(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     said = capsys.readouterr().out
-    assert all(f"\n  {code} " in said for code in (0, 1, 2, command.INTERRUPTED))
+    assert all(f"\n  {code} " in said for code in (0, 1, 2, STOPPED))
 
 
 def test_an_interrupted_command_says_that_it_goes_on_and_ends_as_shells_expect(monkeypatch, capsys):
@@ -53,6 +54,7 @@ def test_an_interrupted_command_says_that_it_goes_on_and_ends_as_shells_expect(m
 def test_a_command_that_is_interrupted_while_torch_is_loaded_says_so_too():
     program = (
         "import sys, os, signal, importlib.abc\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Impatient(importlib.abc.MetaPathFinder):\n"
         "    def find_spec(self, name, path, target=None):\n"
         "        if name == 'torch': os.kill(os.getpid(), signal.SIGINT)\n"
@@ -65,7 +67,7 @@ def test_a_command_that_is_interrupted_while_torch_is_loaded_says_so_too():
         env={"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert done.returncode == 130
-    assert done.stderr == "\nStopped. The same command goes on where it stopped.\n"
+    assert done.stderr == STOPPED_WORDS
 
 
 def test_help_lists_all_subcommands_without_loading_torch():

@@ -1,8 +1,6 @@
 import json
 import logging
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -17,6 +15,7 @@ from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.sources.monocular import MonocularParams
+from tests.process_state import ended_here
 from tests.sources.small_videos import picture, write_video
 
 ROOT = Path(__file__).parents[2]
@@ -263,9 +262,10 @@ def test_the_self_check_has_the_last_word(
     assert f"Turn it by hand: {folder}/avatar.html" in caplog.messages
 
 
-def test_a_missing_video_is_one_clear_line(tmp_path: Path):
-    command = [sys.executable, "-m", "deblur_avatar.cli.main", "video", "no.mp4"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+def test_a_missing_video_is_one_clear_line(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(ROOT)
+    words = ["video", "no.mp4"]
+    done = ended_here(words, lambda: main(words))
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("ConfigError: clip.path: no video")
     assert "Traceback" not in done.stderr

@@ -18,6 +18,7 @@ FLAGS = [
     "--disable-sync",
 ]  # fmt: skip
 NAMES = ("chromium", "chromium-browser", "google-chrome")
+AT_REST = "!window.page.asked && window.page.ticked === undefined"
 
 
 @contextmanager
@@ -85,3 +86,9 @@ def pixels(page: Any, camera: Camera, **shown: Any) -> np.ndarray:
     text = page.evaluate("(asked) => window.page.pixels(asked)", asked)
     rgba = np.frombuffer(base64.b64decode(text), np.uint8)
     return rgba.reshape(camera.height, camera.width, 4) / 255
+
+
+def at_rest(page: Any) -> None:
+    """Let the time pass after which the page draws sharply and its link says what is shown."""
+    page.evaluate("window.page.changed = -Infinity")
+    page.wait_for_function(AT_REST)

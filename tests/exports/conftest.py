@@ -30,14 +30,14 @@ def page(browser: Any) -> Iterator[Any]:
         yield opened
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def page_exporter() -> PageExport:
     exporter = parse(ExportParams, PAGE, "export")
     assert isinstance(exporter, PageExport)
     return exporter
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def rough(painted: Callable[..., PlainAvatar]) -> Callable[..., PlainAvatar]:
     """An avatar of Gaussians of all shapes, no two of which are equally far from any camera."""
 
@@ -60,7 +60,7 @@ def rough(painted: Callable[..., PlainAvatar]) -> Callable[..., PlainAvatar]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fitted_run(observations, swinging) -> Callable[..., FittedRun]:
     """A run that left this avatar, moving as in the observations but farther."""
 
@@ -72,25 +72,44 @@ def fitted_run(observations, swinging) -> Callable[..., FittedRun]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def sharp(observations) -> Observations:
     """What the filming camera would have seen with no blur, brighter than what it saw."""
     lighter = observations.frames.clamp(min=60)
     return dataclasses.replace(observations, frames=lighter, exposure=0.0)
 
 
-@pytest.fixture
-def page_with_truth(rough, fitted_run, page_exporter, sharp, tmp_path: Path) -> Path:
+@pytest.fixture(scope="session")
+def exported(page_exporter, tmp_path_factory) -> Callable[..., Path]:
+    """Writes the page of a run."""
+    folder = tmp_path_factory.mktemp("pages")
+
+    def export(name: str, run: FittedRun) -> Path:
+        page_exporter.export(run, folder / f"{name}.html")
+        return folder / f"{name}.html"
+
+    return export
+
+
+@pytest.fixture(scope="session")
+def beside(rough, fitted_run) -> FittedRun:
+    """Another run of the same person."""
+    return fitted_run(rough("linear"), "capsules-agnostic")
+
+
+@pytest.fixture(scope="session")
+def page_with_truth(rough, fitted_run, exported, beside, sharp) -> Path:
     """The page of two avatars whose true frames are known."""
-    path = tmp_path / "truth.html"
-    other = fitted_run(rough("linear"), "capsules-agnostic")
-    page_exporter.export(fitted_run(rough(), sharp=sharp, beside=other), path)
-    return path
+    return exported("truth", fitted_run(rough(), sharp=sharp, beside=beside))
 
 
-@pytest.fixture
-def page_file(rough, fitted_run, page_exporter, tmp_path: Path) -> Path:
+@pytest.fixture(scope="session")
+def page_of_two(rough, fitted_run, exported, beside) -> Path:
+    """The page of two avatars."""
+    return exported("two", fitted_run(rough(), beside=beside))
+
+
+@pytest.fixture(scope="session")
+def page_file(rough, fitted_run, exported) -> Path:
     """The page of one avatar."""
-    path = tmp_path / "avatar.html"
-    page_exporter.export(fitted_run(rough()), path)
-    return path
+    return exported("avatar", fitted_run(rough()))

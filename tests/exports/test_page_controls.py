@@ -12,9 +12,8 @@ from PIL import Image
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.geometry.cameras import Camera
-from tests.exports.browser import opened, silent_page
+from tests.exports.browser import AT_REST, at_rest, opened, silent_page
 
-SETTLED = 500  # milliseconds; the page draws sharply and writes its link sooner
 MEAN_ERROR = 8  # of 255, of 255 colours for a person of 600 random ones
 NAMED = ("button", "combobox", "slider", "checkbox", "application")
 
@@ -34,7 +33,7 @@ def canvas(page):
 
 def picture(page) -> np.ndarray:
     """What the browser shows of the avatar, sRGB in [0, 1]."""
-    page.wait_for_timeout(SETTLED)
+    at_rest(page)
     return np.asarray(Image.open(io.BytesIO(canvas(page).first.screenshot())).convert("RGB")) / 255
 
 
@@ -66,8 +65,7 @@ def test_every_control_has_a_name(open_page):
 
 def test_play_goes_on_and_round_until_pause(open_page):
     open_page.get_by_role("button", name="Play").click()
-    open_page.wait_for_timeout(SETTLED)
-    assert state(open_page)["seconds"] > 0
+    open_page.wait_for_function("window.page.state.seconds > 0")
     open_page.get_by_role("button", name="Pause").click()
     seconds = state(open_page)["seconds"]
     open_page.wait_for_timeout(200)
@@ -330,7 +328,7 @@ def test_the_sharp_truth_is_matched(page, page_with_truth):
     assert corner(truth) > corner(frame) + 30
     left = [part.bounding_box()["x"] for part in (frame, *canvas(page).all(), truth)]
     assert left == sorted(left)
-    page.wait_for_timeout(SETTLED)
+    at_rest(page)
     opened(page, page_with_truth, "#" + page.url.partition("#")[2])
     assert truth.is_visible()
     with page.expect_download() as download:
@@ -364,21 +362,19 @@ def test_on_a_phone_more_than_two_pictures_take_two_rows(browser, page_with_trut
         assert all(box["height"] > 300 for box in boxes)
 
 
-def test_two_avatars_share_one_camera(page, rough, fitted_run, page_exporter, tmp_path):
-    other = fitted_run(rough("linear"), "capsules-agnostic")
-    page_exporter.export(fitted_run(rough(), beside=other), tmp_path / "two.html")
-    opened(page, tmp_path / "two.html")
+def test_two_avatars_share_one_camera(page, page_of_two):
+    opened(page, page_of_two)
     first, second = (canvas(page).nth(i).bounding_box() for i in range(2))
     assert first["width"] == pytest.approx(second["width"], abs=2)
     assert page.get_by_text("capsules-agnostic", exact=True).first.is_visible()
     before = [np.asarray(Image.open(io.BytesIO(c.screenshot()))) for c in canvas(page).all()]
     page.get_by_role("button", name="Back").click()
-    page.wait_for_timeout(SETTLED)
+    at_rest(page)
     after = [np.asarray(Image.open(io.BytesIO(c.screenshot()))) for c in canvas(page).all()]
     for was, now in zip(before, after, strict=True):
         assert np.abs(was.astype(int) - now).max() > 60
     page.get_by_role("checkbox", name="Show capsules-agnostic beside it").uncheck()
-    page.wait_for_timeout(SETTLED)
+    at_rest(page)
     assert canvas(page).nth(0).bounding_box()["width"] > 1.9 * first["width"]
 
 
@@ -389,7 +385,7 @@ def test_slow_frames_are_drawn_coarsely_until_all_rests(open_page):
     open_page.evaluate("window.page.stage.drawMoving(window.page.state)")
     assert canvas(open_page).evaluate("(canvas) => canvas.width") < 0.3 * whole
     open_page.get_by_role("button", name="Pause").click()
-    open_page.wait_for_timeout(SETTLED)
+    open_page.wait_for_function(AT_REST)
     assert canvas(open_page).evaluate("(canvas) => canvas.width") == whole
 
 

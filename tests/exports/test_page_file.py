@@ -5,6 +5,7 @@ import dataclasses
 import gzip
 import json
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ import torch
 
 from deblur_avatar.avatars.networks_avatar import NetworksAvatar
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.exports.page.content import _frames
+from deblur_avatar.exports.page.export import _without_comments
 from deblur_avatar.exports.page.packing import influences, packed_text, quantised, signed
 from tests.exports import browser
 from tests.exports.page_header import header_of
@@ -30,6 +33,39 @@ def test_a_page_of_8000_gaussians_and_two_motions_is_small(
     assert header_of(page)["avatars"][0]["count"] == 8000
     assert len(header_of(page)["avatars"][0]["motions"]) == 2
     assert len(page) < MOST_BYTES
+
+
+@pytest.mark.parametrize(("count", "small"), [(10_000, True), (10_001, False)])
+def test_frames_take_the_room_that_is_left_up_to_10000_gaussians(
+    rough, fitted_run, page_exporter, make_observations, count, small
+):
+    exporter = page_exporter.model_copy(update={"seconds": 4.0, "pictures": 5})
+    filmed = make_observations(size=192)
+    noise = torch.randint(
+        0, 256, filmed.frames.shape, generator=torch.Generator().manual_seed(0), dtype=torch.uint8
+    )
+    filmed = dataclasses.replace(filmed, frames=noise)
+    run = dataclasses.replace(fitted_run(rough(count=count)), observations=filmed, sharp=filmed)
+    page = exporter.page([run])
+    header = header_of(page)
+    taken = len(header["frames"])
+    assert (len(page) < MOST_BYTES) == small
+    assert taken == 1 if small else taken == 5
+    assert len([name for name in header["arrays"] if name.startswith("truth")]) == taken
+
+
+def test_frames_lose_quality_before_any_is_left_out(fitted_run, rough, sharp):
+    tries = list(_frames(fitted_run(rough(), sharp=sharp), 4))
+    assert [len(taken) for taken, _ in tries] == [4] * 5 + [3] * 5 + [2] * 5 + [1] * 5 + [0]
+    bytes_of = [sum(file.stored.size for file in files.values()) for _, files in tries]
+    assert all(one >= next_ for one, next_ in pairwise(bytes_of[:5]))
+    assert bytes_of[0] > bytes_of[4]
+    assert tries[-1] == ([], {})
+
+
+def test_scripts_lose_their_comments_and_nothing_that_runs():
+    script = "// What it is.\nconst a = 1; // one\n\n  // and\n  const b = `\n    // in\n  x`;\n"
+    assert _without_comments(script) == "const a = 1; // one\nconst b = `\nx`;"
 
 
 def test_the_same_run_gives_the_same_bytes_and_another_gives_others(

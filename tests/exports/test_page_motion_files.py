@@ -114,12 +114,8 @@ def test_joints_are_where_and_turned_as_python_has_them(page, page_file, run, fi
     assert np.ptp(ours[..., 3], axis=0).max() > 0.02  # it does move
 
 
-def test_a_file_that_is_dropped_is_opened_and_moves_both_avatars(
-    page, page_exporter, rough, fitted_run, body, tmp_path
-):
-    other = fitted_run(rough("linear"), "capsules-agnostic")
-    page_exporter.export(fitted_run(rough(), beside=other), tmp_path / "two.html")
-    opened(page, tmp_path / "two.html")
+def test_a_file_that_is_dropped_is_opened_and_moves_both_avatars(page, page_of_two, body):
+    opened(page, page_of_two)
     pose, transl = acted(frames=12)
     text = bvh(as_rig(body, pose, transl, frames_of_joints=odd_frames(0)))
     page.evaluate(

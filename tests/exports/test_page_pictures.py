@@ -10,7 +10,7 @@ from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.exports.shown_motion import shown_motions
 from deblur_avatar.geometry.cameras import Camera, look_at
 from deblur_avatar.imaging.color import srgb_to_linear
-from tests.exports.browser import opened, pixels
+from tests.exports.browser import opened, pixels, silent_page
 
 UP = torch.tensor([0.0, 1.0, 0.0])
 EYES = {
@@ -32,15 +32,16 @@ def psnr(a, b, where) -> float:
     return float(-10 * np.log10(np.square(a - b)[where].mean()))
 
 
-@pytest.fixture(params=["srgb", "linear"])
-def shown(request, rough, fitted_run, page_exporter, page, tmp_path):
+@pytest.fixture(scope="module", params=["srgb", "linear"])
+def shown(request, rough, fitted_run, page_exporter, exported, browser):
+    """An avatar, its motions and its page, which draws what it is asked for and stays as it is."""
     model = rough(request.param)
     run = fitted_run(model)
-    page_exporter.export(run, tmp_path / "avatar.html")
     motions = {
         motion.name: motion for motion in shown_motions(run, page_exporter.motions, 30.0, 1.2)
     }
-    return model, motions, opened(page, tmp_path / "avatar.html")
+    with silent_page(browser, 800, 600) as page:
+        yield model, motions, opened(page, exported(request.param, run))
 
 
 def test_every_view_is_the_rasterizers(shown):

@@ -266,7 +266,7 @@ def example(kind: type[Artifact]) -> Artifact:
             "crops": torch.ones(1, 4), "train_camera": 0, "body": _body(), "poses": _poses(),
             "weights": torch.ones(3), "frame_indices": frames, "timestamps": _times(),
             "exposure": 0.01, "averaging_space": "srgb", "train": (0, 1), "validation": (2,),
-            "depth_known": True, "occluded_fraction": 0.5,
+            "depth_known": True, "pose_std": 0.03, "occluded_fraction": 0.5,
         },
         "Reference": {
             "images": _images(2, 6, 8, 3), "mattes": _images(2, 6, 8), "seen": _images(2, 6, 8),

@@ -101,8 +101,20 @@ def test_the_anchor_weighs_shifts_against_turns(sharpened):
     with torch.no_grad():
         turned.axis_angle[:, 1, 0] += 0.1  # one joint, which did not turn before
         shifted.transl[:, 1] += 0.1 * LEVER
-    assert prior(turned, "anchor", sharpened) == pytest.approx(0.01 / 24, rel=1e-3)
-    assert prior(shifted, "anchor", sharpened) == pytest.approx(0.01, rel=1e-3)
+    unit = sharpened().pose_std ** 2
+    assert prior(turned, "anchor", sharpened) == pytest.approx(0.01 / 24 / unit, rel=1e-3)
+    assert prior(shifted, "anchor", sharpened) == pytest.approx(0.01 / unit, rel=1e-3)
+
+
+def test_poses_that_may_be_farther_off_hold_the_trajectory_less(sharpened):
+    motion = clip_motion(circling(12), exposure=2 / 60)
+    with torch.no_grad():
+        motion.axis_angle[:, 1, 0] += 0.1
+    near, far = (
+        float(motion.priors(0, motion(0), sharpened(pose_std=std))["anchor"]())
+        for std in (0.02, 0.04)
+    )
+    assert near == pytest.approx(4 * far)
 
 
 def test_the_shutter_is_an_unknown_only_where_it_is_estimated():

@@ -1,6 +1,7 @@
 """Fingerprints move with what code does, and with nothing else."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import (
     NO_SUCH_KIND,
     fingerprints,
@@ -218,6 +220,29 @@ def test_a_kind_has_a_fingerprint_of_its_own_by_the_entries_that_ask_for_it(with
         "avatars",
         "sew",
     }
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("params.yaml", "[avatars, methods]", "params.yaml must hold sections, got ['avatars', "),
+        ("params.yaml", "", "params.yaml must hold sections, got None"),
+        ("params.yaml", "from: here", "params.yaml: from: value: input should be a valid dict"),
+        ("params.yaml", "from: {avatars: [a]}", "params.yaml: from.avatars: value: input should"),
+        ("shared/params.yaml", "a", "shared/params.yaml must hold sections, got 'a'"),
+        ("shared/params.yaml", "avatars: [a]", "shared/params.yaml: avatars: value: input should"),
+    ],
+)
+def test_parameters_that_hold_no_sections_are_refused(with_kinds, file, text, message):
+    (with_kinds / file).write_text(text)
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        fingerprints(with_kinds, with_kinds)
+
+
+@pytest.mark.parametrize("text", ["from:", "seed: 0", "from: {bodies: params.yaml}"])
+def test_parameters_that_place_no_kinds_ask_for_none(with_kinds, text):
+    (with_kinds / "params.yaml").write_text(text)
+    assert fingerprints(with_kinds, with_kinds)["avatars"] == {}
 
 
 def test_a_new_kind_moves_nothing_and_another_place_of_one_moves_its_entries(with_kinds):

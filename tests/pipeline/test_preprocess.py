@@ -66,6 +66,7 @@ def params(**changes: Any) -> PreprocessParams:
     given: dict[str, Any] = {
         "poses": "given",
         "depth": "unknown",
+        "pose_std_degrees": 2.0,
         "masks": "given",
         "background": "none",
         "margin": 0.1,
@@ -102,6 +103,12 @@ def test_a_clip_of_the_size_wanted_comes_out_unchanged(clip: BlurryClip, body: B
 def test_observations_say_whether_their_poses_know_depth(clip: BlurryClip, body: Body):
     assert not run(clip, body).blurred.depth_known
     assert run(clip, body, depth="known").blurred.depth_known
+
+
+def test_how_far_poses_may_be_off_is_what_the_scene_says(clip, body):
+    assert run(clip, body, pose_std_degrees=3.0).blurred.pose_std == pytest.approx(
+        0.05236, rel=1e-3
+    )
 
 
 def test_sharp_and_exact_observations_differ_in_frames_and_poses_alone(

@@ -40,7 +40,7 @@ def folder(tmp_path_factory, tiny_parameters):
         "blur": {"frames": "interpolated", "factor": 8, "window": 9, "averaging_space": "srgb"},
         "preprocess": {
             "poses": "given", "depth": "known", "masks": "given", "background": "none",
-            "margin": 0.1, "validation_stride": 10,
+            "pose_std_degrees": 1.5, "margin": 0.1, "validation_stride": 10,
         },
     }  # fmt: skip
     smpl = {"source": "smpl", "file": str(sequence.smpl_file), "shape_components": SHAPES}

@@ -137,3 +137,24 @@ def test_without_a_compiler_gaussians_are_posed_in_plain_torch_and_a_warning_say
     for fast, slow in zip(native, plain, strict=True):
         torch.testing.assert_close(fast, slow)
     assert plain[0].grad_fn.name() != native[0].grad_fn.name()
+
+
+def test_weights_that_are_not_learned_are_grouped_once_until_they_change(monkeypatch):
+    grouped, calls = posing._grouped, []
+    monkeypatch.setattr(posing, "_grouped", lambda *given: calls.append(1) or grouped(*given))
+    means, factors, weights, transforms = (value.detach() for value in scene(300, 2))
+    first = pose_gaussians(means, factors, weights, transforms)
+    again = pose_gaussians(means, factors, weights, transforms)
+    assert len(calls) == 1
+    assert all(torch.equal(*pair) for pair in zip(first, again, strict=True))
+    weights.copy_(weights.flip(1))
+    turned = pose_gaussians(means, factors, weights, transforms)
+    fresh = pose_gaussians(means, factors, weights.clone(), transforms)
+    assert all(torch.equal(*pair) for pair in zip(turned, fresh, strict=True))
+    assert not torch.equal(turned[0], first[0])
+    assert len(calls) == 3
+    del fresh
+    learned = weights.clone().requires_grad_()
+    for _ in range(2):
+        pose_gaussians(means, factors, learned, transforms)
+    assert len(calls) == 5

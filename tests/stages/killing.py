@@ -1,7 +1,7 @@
-"""Runs a fitting stage in child processes, one after the other, and kills each at some moment.
+"""Runs fitting stages in child processes, one after the other, and kills each at some moment.
 
-Called as a script, because a process that forks must not have started any threads: stage, folder of
-a run that is left alone, folder of one that is killed again and again, how many kills, a seed. What
+Called as a script, because a process that forks must not have started any threads: folder of
+a run that is left alone, folder of one that is killed again and again, a seed, `stage=kills`. What
 is slow to import is imported before the first child.
 """
 
@@ -60,12 +60,11 @@ def child(
     return os.waitstatus_to_exitcode(status), int(said or 0)
 
 
-def main(stage: str, whole: Path, stopped: Path, kills: int, seed: int) -> None:
-    """Print the exit status of both last runs, how many were killed, how many had saved."""
-    torch.set_num_threads(1)
-    avatar_fit.NEIGHBOUR_REFRESH = 3
-    run_folder.SAVE_EVERY_S = 0.0
-    script, draw = script_of(stage), random.Random(seed)
+def end(
+    stage: str, whole: Path, stopped: Path, kills: int, draw: random.Random
+) -> tuple[int, int, int, int]:
+    """The exit status of both last runs of a stage, how many were killed, how many had saved."""
+    script = script_of(stage)
     first, calls = child(script, stage, whole)
     killed, saved, status = 0, 0, first
     while killed < kills and status in (0, -signal.SIGKILL):
@@ -73,9 +72,22 @@ def main(stage: str, whole: Path, stopped: Path, kills: int, seed: int) -> None:
         status, _ = child(script, stage, stopped, stop, wait_s)
         killed += status == -signal.SIGKILL
         saved += any(stopped.glob(f".{stage}.unfinished/after_*"))
-    last = child(script, stage, stopped)[0] if kills else first
-    sys.stdout.write(f"{first} {last} {killed} {saved}\n")
+    return first, child(script, stage, stopped)[0], killed, saved
+
+
+def main(whole: Path, stopped: Path, seed: int, kills: dict[str, int]) -> None:
+    """Print what became of each stage, a line each."""
+    torch.set_num_threads(1)
+    avatar_fit.NEIGHBOUR_REFRESH = 3
+    run_folder.SAVE_EVERY_S = 0.0
+    for stage, count in kills.items():
+        found = end(stage, whole, stopped, count, random.Random(seed))
+        sys.stdout.write(f"{' '.join(map(str, found))}\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), int(sys.argv[4]), int(sys.argv[5]))
+    pairs = (word.split("=") for word in sys.argv[4:])
+    main(
+        Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]),
+        {stage: int(count) for stage, count in pairs},
+    )  # fmt: skip

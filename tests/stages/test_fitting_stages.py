@@ -2,20 +2,16 @@
 
 import copy
 import json
-import logging
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
 
-from deblur_avatar import run
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.checkpoint import Checkpoint
 from deblur_avatar.artifacts.motion import Motion
-from tests.process_state import process_state_kept
-from tests.stages.running import BEFORE, fitting_options, run_script, script_of, words
+from tests.stages.running import BEFORE, fitting_options, run_script
 
 STAGES = ("warmup", "trajectory", "fusion")
 
@@ -31,22 +27,14 @@ def tiny(tiny_parameters):
 
 
 @pytest.fixture(scope="module")
-def chain(tmp_path_factory, observations, tiny):
+def chain(tmp_path_factory, observations, tiny, start_script):
     """All three stages, one after the other, each in its own process."""
     folder = tmp_path_factory.mktemp("chain")
     observations.save(folder / "observations")
     write_params(folder, tiny)
     return folder, {
-        stage: run_script(stage, **fitting_options(stage, folder, folder)) for stage in STAGES
+        stage: start_script(stage, **fitting_options(stage, folder, folder)) for stage in STAGES
     }
-
-
-@pytest.fixture
-def this_process(monkeypatch):
-    """Stages may run here too: what they switch for a process is switched back after them."""
-    monkeypatch.setattr(logging, "basicConfig", lambda **_: None)
-    with process_state_kept():
-        yield
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -91,12 +79,12 @@ def files(folder: Path) -> dict[str, bytes]:
     }
 
 
-@pytest.mark.usefixtures("this_process")
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_second_run_in_another_process_writes_the_same_bytes(chain, tiny, stage, tmp_path):
     folder, _ = chain
     write_params(tmp_path, tiny)
-    script_of(stage).main(**fitting_options(stage, tmp_path, folder))
+    done = run_script(stage, **fitting_options(stage, tmp_path, folder))
+    assert done.returncode == 0, done.stderr
     assert files(tmp_path / stage) == files(folder / stage)
 
 
@@ -111,12 +99,14 @@ def misspell(content: dict[str, Any], stage: str) -> str:
     return where
 
 
-def test_a_typo_in_the_parameters_ends_with_one_line_and_no_output(chain, tiny, tmp_path):
+def test_a_typo_in_the_parameters_ends_with_one_line_and_no_output(
+    chain, tiny, tmp_path, start_script
+):
     folder, _ = chain
     content = copy.deepcopy(tiny)
     where = misspell(content, "warmup")
     write_params(tmp_path, content)
-    done = run_script("warmup", **fitting_options("warmup", tmp_path, folder))
+    done = start_script("warmup", **fitting_options("warmup", tmp_path, folder))
     assert done.returncode == 1
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
@@ -125,40 +115,34 @@ def test_a_typo_in_the_parameters_ends_with_one_line_and_no_output(chain, tiny, 
     assert [path.name for path in tmp_path.iterdir()] == ["params.yaml"]
 
 
-def refused(stage, folder, read, monkeypatch, capsys) -> str:
-    """What a stage that ends with exit code 1 says."""
-    monkeypatch.setattr(sys, "argv", [stage, *words(fitting_options(stage, folder, read))])
-    with pytest.raises(SystemExit) as end:
-        run.command(script_of(stage).main)
-    assert end.value.code == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    return line
+def refused(stage, folder, read) -> list[str]:
+    """The lines that a stage says that ends with exit code 1."""
+    done = run_script(stage, **fitting_options(stage, folder, read))
+    assert done.returncode == 1
+    return done.stderr.splitlines()
 
 
-@pytest.mark.usefixtures("this_process")
 @pytest.mark.parametrize("stage", ["trajectory", "fusion"])
-def test_a_typo_in_a_method_does_too(chain, tiny, stage, tmp_path, monkeypatch, capsys):
+def test_a_typo_in_a_method_does_too(chain, tiny, stage, tmp_path):
     folder, _ = chain
     content = copy.deepcopy(tiny)
     where = misspell(content, stage)
     write_params(tmp_path, content)
-    line = refused(stage, tmp_path, folder, monkeypatch, capsys)
+    (line,) = refused(stage, tmp_path, folder)
     assert line.startswith(f"ConfigError: {tmp_path / 'params.yaml'}: {where}: missing key")
     assert "unknown key" in line
     assert [path.name for path in tmp_path.iterdir()] == ["params.yaml"]
 
 
-@pytest.mark.usefixtures("this_process")
 @pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_before_its_predecessor_says_what_to_do(
-    chain, tiny, stage, tmp_path, monkeypatch, capsys
-):
+def test_a_stage_before_its_predecessor_says_what_to_do(chain, tiny, stage, tmp_path):
     folder, _ = chain
     write_params(tmp_path, tiny)
-    missing, schema = tmp_path / "observations", "observations/3"
+    missing, schema = tmp_path / "observations", "observations/4"
     if stage in BEFORE:
         missing.symlink_to(folder / "observations")
         missing, schema = tmp_path / BEFORE[stage] / "avatar", "avatar/1"
-    line = refused(stage, tmp_path, tmp_path, monkeypatch, capsys)
+    start, line = refused(stage, tmp_path, tmp_path)
+    assert start.startswith(f"{stage} {stage}: start, device ")
     assert line == f"ArtifactError: no {schema} in {missing}; run `dvc repro` or `dvc pull`"
     assert not (tmp_path / stage).exists()

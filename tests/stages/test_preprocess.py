@@ -20,8 +20,8 @@ schedules: {small: {image_height: 12}}
 scenes:
   tiny:
     preprocess:
-      {poses: given, depth: known, masks: given, background: none, margin: 0.1,
-       validation_stride: 3}
+      {poses: given, depth: known, pose_std_degrees: 1.5, masks: given, background: none,
+       margin: 0.1, validation_stride: 3}
 """
 
 

@@ -74,8 +74,14 @@ def scene_params(**changes):
 
 
 def setup(method, **changes):
+    """Skinning weights are hardly learned beforehand: nothing here depends on them."""
     chosen = FitSetup.of(method, PARAMS, 0, CPU)
-    return replace(chosen, **{"schedule": SCHEDULE, "draws": 1} | changes)
+    quick = {"schedule": SCHEDULE, "draws": 1}
+    if chosen.networks is not None:
+        skinning = chosen.networks.model.skinning.model_copy(update={"pretrain": 3})
+        model = chosen.networks.model.model_copy(update={"skinning": skinning})
+        quick["networks"] = chosen.networks.model_copy(update={"model": model})
+    return replace(chosen, **quick | changes)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """What the pipelines of this repository say, as tests ask for it."""
 
+import copy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,13 @@ PARAMS, PIPELINE = "params.yaml", "dvc.yaml"
 
 def read(path: Path) -> Any:
     """A YAML file as DVC reads it."""
-    return YAML(typ="safe", pure=True).load(path)
+    return copy.deepcopy(_parsed(path.read_text()))
+
+
+@cache
+def _parsed(text: str) -> Any:
+    """Once for all files of these words: a pipeline takes a second, and experiments have copies."""
+    return YAML(typ="safe", pure=True).load(text)
 
 
 def stages(path: Path = ROOT / PIPELINE) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.structure import small_repository
-from tests.structure.small_repository import begin, commit
+from tests.structure.small_repository import CODE, begin, commit
 
 ROOT = Path(__file__).parents[2]
 PIPELINE = """\
@@ -65,7 +65,7 @@ def made(tmp_path_factory):
         "dvc.yaml": PIPELINE, "experiments/a/dvc.yaml": PIPELINE, "params.yaml": PARAMS,
         "experiments/a/params.yaml": OWN, ".gitignore": "code.json\ndata/\n",
         "stages/cut.py": CUT,
-        "stages/code.py": (ROOT / "stages/code.py").read_text(),
+        "stages/code.py": CODE,
     }  # fmt: skip
     begin(root, files)
     assert ran(root, "-P") == ALL

@@ -12,6 +12,7 @@ from deblur_avatar.config.reading import load_params, read_params
 from deblur_avatar.parameters import PlacesParams, check_parameters
 from deblur_avatar.pipeline.ablations import SECTIONS
 from deblur_avatar.pipeline.clip import ClipParams
+from tests.stages.running import run_script
 from tests.structure.pipeline_files import (
     PARAMS,
     PIPELINE,
@@ -108,14 +109,12 @@ def test_no_test_instant_of_zju_mocap_is_set_aside_for_validation():
 
 
 @pytest.mark.parametrize("model", [None, "nowhere/SMPL_NEUTRAL.pkl"])
-def test_a_missing_body_is_one_clear_line(tmp_path, model):
-    environment = {k: v for k, v in os.environ.items() if k not in ("SMPL_MODEL", "ZJU_MOCAP_ROOT")}
-    environment |= {} if model is None else {"SMPL_MODEL": model}
-    command = [sys.executable, "stages/body.py", "--name", "smpl", "--out", str(tmp_path / "body")]
-    command += ["--params-file", str(ZJU / PARAMS)]
-    done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
-    )
+def test_a_missing_body_is_one_clear_line(tmp_path, model, monkeypatch):
+    for name in ("SMPL_MODEL", "ZJU_MOCAP_ROOT"):
+        monkeypatch.delenv(name, raising=False)
+    if model is not None:
+        monkeypatch.setenv("SMPL_MODEL", model)
+    done = run_script("body", name="smpl", out=tmp_path / "body", params_file=ZJU / PARAMS)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("ConfigError")
     assert "smpl.is.tue.mpg.de" in done.stderr

@@ -125,7 +125,7 @@ def test_the_avatar_is_fitted_saved_evaluated_and_animated(
     assert measured.metrics["model"]["parts"] == ["avatar:balls", f"motion:{motion.kind}"]
     frames = animate(model, "builtin:jumping_jacks", seconds=0.1, size=16)
     assert frames.float().std() > 0
-    with pytest.raises(ConfigError, match="kind balls has no Gaussians"):
+    with pytest.raises(ConfigError, match="kind balls is no set of Gaussians"):
         PlyExport(format="ply", frame=0).export(
             FittedRun("run", avatar, motion, seen), tmp_path / "x"
         )

@@ -2,6 +2,8 @@ import platform
 import subprocess
 from pathlib import Path
 
+from tests.conftest import FIRST
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -22,3 +24,7 @@ def test_continuous_integration_runs_numerical_tests_on_a_second_kind_of_cpu():
         return
     for limit in ("ATEN_CPU_CAPABILITY=avx2", "ONEDNN_MAX_CPU_ISA=AVX2", "-march=x86-64-v3"):
         assert limit in portable[0]
+
+
+def test_folders_whose_tests_begin_first_are_there():
+    assert all((ROOT / "tests" / name).is_dir() for name in FIRST)

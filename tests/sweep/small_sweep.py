@@ -1,11 +1,15 @@
 """A repository whose stages copy files slowly, for tests of sweeps."""
 
+import contextlib
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
+from deblur_avatar.cli.main import main
+from tests.process_state import ended_here
 from tests.structure import small_repository
 from tests.structure.small_repository import begin, commit
 
@@ -64,14 +68,23 @@ stages:
         - ${item}: {cache: false}
 """
 PARAMS = """\
-from: {root: ROOT}
-warmed: {NAME_a: {}, NAME_b: {}}
+from: {root: .}
+warmed: {root_a: {}, root_b: {}}
 runs:
-  NAME_one: {warm: NAME_a, size: 0}
-  NAME_two: {warm: NAME_a}
-  NAME_three: {warm: NAME_b}
-reports: [REPORTS]
+  root_one: {warm: root_a}
+  root_two: {warm: root_a}
+  root_three: {warm: root_b}
+reports: [reports]
 """
+OF_MORE = """\
+from: {root: ../..}
+warmed: {more_a: {}}
+runs:
+  more_one: {warm: more_a, size: 0}
+  more_two: {warm: more_a}
+reports: []
+"""
+MORE = "experiments/more"
 # A stage that says what it is doing in `begun/`, and does what a file of its name in `told/` says.
 GROW = """\
 import json, os, signal, sys, time
@@ -99,25 +112,21 @@ out.mkdir(parents=True)
 metrics.parent.mkdir(parents=True, exist_ok=True)
 metrics.write_text(json.dumps({'length': len(text)}))
 """
-# The root has more than half of all stages: only then is the order of `dvc repro` always the same.
-FOLDERS = ("", "experiments/more")
 
 
 def begin_project(root: Path) -> None:
-    """The repository, with nothing run: a pipeline at its root, a copy in an experiment."""
+    """The repository, with nothing run: a pipeline at its root, a copy in an experiment.
+
+    The root has more than half of all stages: only then is the order of `dvc repro` always the
+    same.
+    """
     files = {
+        "dvc.yaml": STAGES, "params.yaml": PARAMS,
+        f"{MORE}/dvc.yaml": STAGES, f"{MORE}/params.yaml": OF_MORE,
         "stages/grow.py": GROW,
-        "stages/code.py": (ROOT / "stages/code.py").read_text(),
+        "stages/code.py": small_repository.CODE,
         ".gitignore": "code.json\ndata/\nmetrics/\nreports/\nbegun/\ntold/\n",
-    }
-    for folder in FOLDERS:
-        up = "../.." if folder else "."
-        name = Path(folder).name or "root"
-        files[str(Path(folder, "dvc.yaml"))] = STAGES
-        params = PARAMS.replace("ROOT", up).replace("NAME", name)
-        files[str(Path(folder, "params.yaml"))] = params.replace(
-            "REPORTS", "" if folder else "reports"
-        )
+    }  # fmt: skip
     begin(root, files)
     commit(root)
 
@@ -157,6 +166,11 @@ def results(project: Path) -> dict[str, bytes]:
     }
 
 
+def results_of_root(project: Path) -> dict[str, bytes]:
+    """Of the pipeline at its root alone."""
+    return {k: v for k, v in results(project).items() if not k.startswith(MORE)}
+
+
 def called(project: Path, *command: str) -> str:
     """What a command says there, by this repository's code; it must end well."""
     return small_repository.called(project, *command, code=ROOT)
@@ -167,6 +181,12 @@ def swept(project: Path, *words: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
         [*SWEEP, *words], cwd=project, env=variables(), capture_output=True, text=True, check=False
     )
+
+
+def swept_here(project: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    """The same in this process, which has imported DVC already."""
+    with contextlib.chdir(project), mock.patch.dict(os.environ, variables()):
+        return ended_here(SWEEP[1:], lambda: main(["sweep", *words]))
 
 
 def variables() -> dict[str, str]:

@@ -7,8 +7,7 @@ import pytest
 
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.sweep.grid import grid, name_of, tasks_of
-from tests.structure.small_repository import commit
-from tests.sweep.small_sweep import begin_project, called, swept
+from tests.sweep.small_sweep import MORE, called, copied, swept, swept_here
 
 
 def test_every_combination_is_there_once():
@@ -33,27 +32,23 @@ def test_names_tell_experiments_apart_or_are_refused():
         tasks_of(Path(), "p/dvc.yaml", [{"a.b": "1"}, {"c.b": "1"}], 10.0)
 
 
-@pytest.fixture
-def project(tmp_path) -> Path:
-    root = tmp_path / "project"
-    root.mkdir()
-    begin_project(root)
-    return root
+VALUES = ("-S", f"{MORE}/params.yaml:runs.more_one.size=1,2")
 
 
-def test_experiments_are_what_dvc_shows(project):
-    values = ["-S", "experiments/more/params.yaml:runs.more_one.size=1,2"]
-    stale = swept(project, "experiments/more", *values)
+def test_experiments_of_what_is_out_of_date_are_refused(made, tmp_path):
+    stale = swept_here(copied(made, tmp_path / "stale"), MORE, *VALUES)
     assert stale.returncode == 1
-    assert "8 stages are out of date as they stand" in stale.stderr
-    called(project, "dvc", "repro", "experiments/more/dvc.yaml")
-    commit(project)
+    assert "5 stages are out of date as they stand" in stale.stderr
+
+
+def test_experiments_are_what_dvc_shows(serial, tmp_path):
+    project = copied(serial, tmp_path / "project")
     (project / "params.yaml").write_text((project / "params.yaml").read_text() + "\n# mine\n")
-    changed = swept(project, "experiments/more", *values)
+    changed = swept_here(project, MORE, *VALUES)
     assert changed.returncode == 1
     assert "commit your changes first" in changed.stderr
     called(project, "git", "checkout", "-q", "params.yaml")
-    done = swept(project, "experiments/more", *values, "--at-once", "2")
+    done = swept(project, MORE, *VALUES, "--at-once", "2")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 of 2 tasks done" in done.stdout
     (shown,) = json.loads(called(project, "dvc", "exp", "show", "--json"))[1:]

@@ -15,18 +15,19 @@ from deblur_avatar.sweep.costs import REMEMBERED, Costs
 from deblur_avatar.sweep.local_engine import LocalEngine
 from deblur_avatar.sweep.tasks import Task
 from tests.sweep.small_sweep import (
+    MORE,
     SWEEP,
     begun,
     called,
     copied,
     process_of,
     results,
+    results_of_root,
     swept,
+    swept_here,
     tell,
     variables,
 )
-
-MORE = "experiments/more"
 
 
 @pytest.fixture
@@ -34,21 +35,13 @@ def project(made, tmp_path) -> Path:
     return copied(made, tmp_path / "swept")
 
 
-@pytest.fixture(scope="module")
-def serial(made, tmp_path_factory) -> dict[str, bytes]:
-    """What `dvc repro` makes, one stage after the other."""
-    root = copied(made, tmp_path_factory.mktemp("serial") / "one")
-    called(root, "dvc", "repro", "dvc.yaml", f"{MORE}/dvc.yaml")
-    return results(root)
-
-
 def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, serial):
     done = swept(project, "dvc.yaml", MORE, "--at-once", "3")
     assert done.returncode == 0, done.stderr
-    assert "17 of 17 tasks done" in done.stdout
+    assert "14 of 14 tasks done" in done.stdout
     assert "tables and charts: reports/index.html\n" in done.stdout
-    assert results(project) == serial
-    again = swept(project, "dvc.yaml", MORE)
+    assert results(project) == results(serial)
+    again = swept_here(project, "dvc.yaml", MORE)
     assert "0 of 0 tasks done" in again.stdout
     assert "up to date" in called(project, "dvc", "repro", "--dry", "-s", "score@root_one")
 
@@ -68,14 +61,17 @@ def test_a_killed_stage_is_begun_again_and_a_failed_one_leaves_the_rest(
     assert begun(project, "root_two") == ["fit"]
     tell(project, "fit-root_two", "")
     assert "3 of 3 tasks done" in swept(project, "dvc.yaml").stdout
-    assert results(project).keys() == {name for name in serial if not name.startswith(MORE)}
+    assert results(project).keys() == results_of_root(serial).keys()
+
+
+SLOW = "score@root_three"
 
 
 def waiting_sweep(project: Path) -> "subprocess.Popen[str]":
-    """A sweep one stage of which waits, once that one has begun."""
+    """A sweep of `SLOW`, whose fit waits, once that one has begun."""
     tell(project, "fit-root_three", "wait")
     process = subprocess.Popen(
-        [*SWEEP, "dvc.yaml"], cwd=project, text=True,
+        [*SWEEP, SLOW], cwd=project, text=True,
         env=variables(),
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
@@ -101,7 +97,7 @@ def gone(process: int, seconds: float = 100.0) -> bool:
 
 def test_a_second_sweep_is_refused_and_a_stopped_one_goes_on(project):
     process = waiting_sweep(project)
-    second = swept(project, "dvc.yaml")
+    second = swept_here(project, "dvc.yaml")
     assert second.returncode == 1
     assert "another sweep works in" in second.stderr
     os.kill(process.pid, signal.SIGINT)
@@ -109,7 +105,7 @@ def test_a_second_sweep_is_refused_and_a_stopped_one_goes_on(project):
     assert process.returncode == 130, said
     assert gone(process_of(project, "root_three"))
     tell(project, "fit-root_three", "")
-    done = swept(project, "dvc.yaml")
+    done = swept(project, SLOW)
     assert done.returncode == 0, done.stderr
     assert begun(project, "root_three")[-2:] == ["fit", "score"]
     assert "up to date" in called(project, "dvc", "repro", "--dry", "-s", "score@root_three")
@@ -150,7 +146,7 @@ def test_nothing_is_left_running_when_the_sweep_is_killed(project):
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_1(project, words, said):
-    done = swept(project, *words)
+    done = swept_here(project, *words)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("ConfigError: ")
@@ -160,7 +156,7 @@ def test_a_mistake_is_one_line_and_exit_code_1(project, words, said):
 def test_a_plan_says_what_it_takes_and_runs_nothing(project):
     (project / REMEMBERED).parent.mkdir(parents=True, exist_ok=True)
     (project / REMEMBERED).write_text(json.dumps({"fit@root_one": 3600.0, "score@x": 97.0}))
-    done = swept(project, "dvc.yaml", "--plan", "1", "4")
+    done = swept_here(project, "dvc.yaml", "--plan", "1", "4")
     assert done.returncode == 0, done.stderr
     assert "9 tasks; the longest chain of them takes 1.04 hours." in done.stdout
     assert done.stdout.count("\n|") + done.stdout.startswith("|") == 4
@@ -184,12 +180,9 @@ def test_costs_are_remembered_measured_of_the_like_or_guessed(tmp_path):
     assert Costs(tmp_path).remembered == {}
 
 
-def test_without_ray_the_answer_is_what_to_install(project):
-    hidden = "import sys; sys.modules['ray'] = None; from deblur_avatar.cli.main import main; "
-    done = subprocess.run(
-        [sys.executable, "-c", f"{hidden}sys.exit(main(['sweep', 'dvc.yaml', '--engine', 'ray']))"],
-        cwd=project, env=variables(), capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+def test_without_ray_the_answer_is_what_to_install(project, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "deblur_avatar.sweep.ray_engine", raising=False)
+    done = swept_here(project, "dvc.yaml", "--engine", "ray")
     assert done.returncode == 1
     assert "pip install 'deblur-avatar[cluster]'" in done.stderr

@@ -4,24 +4,23 @@ Both are raylets of this machine, which share its folder.
 """
 
 import os
+import sys
 
 import pytest
 
 from deblur_avatar.sweep.costs import Costs
 from deblur_avatar.sweep.scheduler import work_off
 from deblur_avatar.sweep.stages import Pipelines
-from tests.sweep.small_sweep import ROOT, begun, called, copied, results, tell
+from tests.sweep.small_sweep import ROOT, begun, copied, results, results_of_root, tell
 
 pytest.importorskip("ray", reason="Ray is not installed: pip install 'deblur-avatar[cluster]'")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 MACHINE = {"num_cpus": 1, "include_dashboard": False}
 
 
-def test_a_machine_that_goes_away_costs_its_task_alone(made, tmp_path, monkeypatch):
+def test_a_machine_that_goes_away_costs_its_task_alone(made, serial, tmp_path, monkeypatch):
     from deblur_avatar.sweep.ray_engine import RayEngine
 
-    serial = copied(made, tmp_path / "serial")
-    called(serial, "dvc", "repro", "dvc.yaml")
     project = copied(made, tmp_path / "swept")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(project)
@@ -52,4 +51,21 @@ def test_a_machine_that_goes_away_costs_its_task_alone(made, tmp_path, monkeypat
     assert progress.failed == {}
     assert len(progress.done) == 9
     assert sum(progress.lost.values()) == 1
-    assert results(project) == results(serial)
+    assert results(project) == results_of_root(serial)
+
+
+def test_what_a_raylet_says_goes_to_standard_error(tmp_path, monkeypatch, capsys):
+    from ray._private.worker import print_to_stdstream
+
+    from deblur_avatar.sweep import ray_engine
+
+    monkeypatch.setattr(ray_engine.ray, "init", lambda **options: None)
+    monkeypatch.setattr(ray_engine.ray, "shutdown", lambda: None)
+    engine = ray_engine.RayEngine(tmp_path, None, {})
+    said = {"lines": ["the node is marked dead"], "pid": "raylet", "is_err": False}
+    print_to_stdstream(said, ignore_prefix=False)
+    engine.stop()
+    sys.stdout.write("done\n")
+    out, err = capsys.readouterr()
+    assert out == "done\n"
+    assert "the node is marked dead" in err

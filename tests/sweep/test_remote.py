@@ -1,14 +1,12 @@
 """What one machine made is there on another, by a remote of DVC's cache that both reach."""
 
-from tests.sweep.small_sweep import ROOT, begin_project, called
+from tests.sweep.small_sweep import ROOT, called, copied
 
 
-def test_a_clone_pulls_what_was_made_elsewhere_and_is_up_to_date(tmp_path):
+def test_a_clone_pulls_what_was_made_elsewhere_and_is_up_to_date(serial, tmp_path):
     first, second, remote = (tmp_path / name for name in ("first", "second", "remote"))
-    first.mkdir()
-    begin_project(first)
+    copied(serial, first)
     called(first, "dvc", "remote", "add", "--default", "shared", str(remote))
-    called(first, "dvc", "repro", "dvc.yaml")
     called(first, "dvc", "push", "dvc.yaml")
     called(first, "git", "add", "-A", "--force", "metrics", "code.json", "dvc.lock", ".dvc/config")
     called(first, "git", "commit", "-qm", "results")

@@ -3,6 +3,9 @@
 from functools import cache
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
+
+# isort: split
 import torch
 
 from benchmarks.stress.fit import FitSetup

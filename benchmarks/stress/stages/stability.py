@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
 from benchmarks.stress.fit import FitSetup
 from benchmarks.stress.params import ModeParams
 from benchmarks.stress.suite import run_mode, scenes_in

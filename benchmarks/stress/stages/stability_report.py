@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
 from benchmarks.stress.params import ModeParams
 from benchmarks.stress.report import report_stability
 from deblur_avatar import run

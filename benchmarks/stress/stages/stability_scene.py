@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
 from benchmarks.stress.fit import FitSetup
 from benchmarks.stress.params import StabilitySceneParams
 from benchmarks.stress.scene import film_scene, measure_ceilings

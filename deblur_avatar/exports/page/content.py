@@ -1,7 +1,10 @@
-"""Content of an avatar page: rigs, motions, the filming camera, a few filmed and sharp frames."""
+"""Content of an avatar page: rigs, motions, the filming camera, a few filmed and sharp frames.
+
+What a page must hold comes first; frames are as many and as good as the room that is left allows.
+"""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,8 +44,9 @@ BITS = {"means": 20, "quats": 14, "log_scales": 12, "opacities": 12, "colors": 1
 FRAMING_POSES = 16  # looked at to find what holds the person throughout
 MOST_LARGER = 1.3  # times the filmed motion that a view is wide at first, for motions that go far
 LONGEST_SHUTTER = 0.1  # seconds that the slider reaches at least
-# 0.1 to 1.3 dB less near to the frames than JPEG of 90, in 40 to 48 % of its bytes.
-WEBP = {"Compression": "webp:80"}
+# Of WebP. 80 is 0.1 to 1.3 dB less near to the frames than JPEG of 90, in 40 to 48 % of its bytes.
+QUALITIES = (80, 65, 50, 40, 30)
+SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the frames asked for, where no quality is low enough
 BEYOND_EXPOSURE = 1.5  # times the filmed exposure that it reaches
 
 
@@ -55,13 +59,14 @@ class Shown:
     motions: Sequence[ShownMotion]
 
 
-def page_payload(shown: Sequence[Shown], pictures: int) -> str:
+def page_payload(shown: Sequence[Shown], pictures: int, room: int | None) -> str:
     """All numbers of a page as text.
 
     Args:
         shown: the avatars; the first one's film, camera and first motion are the page's.
         pictures: filmed frames to take along, evenly spaced, and the sharp ones of the same
-            instants where the first one knows them.
+            instants where the first one knows them; fewer if there is no room for them.
+        room: the text's length at most, unless it is longer without any picture; None: any.
 
     Raises:
         ConfigError: if the camera looked along the person's vertical.
@@ -70,10 +75,6 @@ def page_payload(shown: Sequence[Shown], pictures: int) -> str:
     arrays: dict[str, Packed] = {}
     for index, avatar in enumerate(shown):
         arrays |= {f"avatar{index}.{name}": a for name, a in _avatar_arrays(avatar).items()}
-    taken = _evenly_spaced(len(first.run.observations.frames), pictures)
-    arrays |= _picture_files("frame", first.run.observations, taken)
-    if first.run.sharp is not None:
-        arrays |= _picture_files("truth", first.run.sharp, taken)
     header = {
         "name": " | ".join(avatar.run.name for avatar in shown),
         "limits": {
@@ -87,9 +88,13 @@ def page_payload(shown: Sequence[Shown], pictures: int) -> str:
         # Of skeletons in files that are opened on the page.
         "rig_rules": {"names": RIG_NAMES, "standing": STANDING, "min_bend": MIN_BEND},
         "avatars": [_avatar_header(avatar) for avatar in shown],
-        "frames": [_about_frame(first.run, index) for index in taken],
     }
-    return packed_text(header, arrays)
+    for taken, files in _frames(first.run, pictures):
+        frames = [_about_frame(first.run, index) for index in taken]
+        text = packed_text({**header, "frames": frames}, arrays | files)
+        if room is None or len(text) <= room:
+            break
+    return text
 
 
 def _avatar_header(shown: Shown) -> dict[str, Any]:
@@ -211,12 +216,23 @@ def _about_frame(run: FittedRun, index: int) -> dict[str, Any]:
     }
 
 
+def _frames(run: FittedRun, count: int) -> Iterator[tuple[list[int], dict[str, Packed]]]:
+    """Which frames go along, and their files: the most and best first, none last."""
+    for share in SHARES:
+        taken = _evenly_spaced(len(run.observations.frames), int(share * count))
+        for quality in QUALITIES if taken else QUALITIES[:1]:
+            files = _picture_files("frame", run.observations, taken, quality)
+            if run.sharp is not None:
+                files |= _picture_files("truth", run.sharp, taken, quality)
+            yield taken, files
+
+
 def _picture_files(
-    name: str, observations: Observations, taken: Sequence[int]
+    name: str, observations: Observations, taken: Sequence[int], quality: int
 ) -> dict[str, Packed]:
     """Frames as WebP files, numbered in their order on the page."""
-    frames = observations.comparable_frames()
-    files = (encoded(frames[index].numpy(), ".webp", WEBP) for index in taken)
+    frames, webp = observations.comparable_frames(), {"Compression": f"webp:{quality}"}
+    files = (encoded(frames[index].numpy(), ".webp", webp) for index in taken)
     return {
         f"{name}{number}": Packed(np.frombuffer(file, np.uint8)[:, None])
         for number, file in enumerate(files)

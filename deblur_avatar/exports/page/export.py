@@ -1,9 +1,10 @@
 """Avatar page: the exporter. Python packs numbers, JavaScript beside it poses and draws them.
 
-The scripts are classic parts of one module, put together in the order of `SCRIPTS`; a page loads
-nothing. Equal runs give equal bytes.
+The scripts are classic parts of one module, put together in the order of `SCRIPTS`, without their
+comments; a page loads nothing. Equal runs give equal bytes.
 """
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -22,6 +23,8 @@ SCRIPTS = (
     "clip.js", "gif.js", "rotations.js", "bvh.js", "retargeting.js", "npz.js", "opened_motion.js",
     "page.js",
 )  # fmt: skip
+MOST_BYTES = 500_000  # of a page of so many Gaussians, whatever its frames show:
+SMALL = 10_000
 
 
 class PageExport(MotionExport):
@@ -30,7 +33,7 @@ class PageExport(MotionExport):
     suffix: ClassVar[str] = ".html"
 
     format: Literal["page"]
-    pictures: Annotated[int, Field(ge=0)]  # instants whose frames go along, evenly spaced
+    pictures: Annotated[int, Field(ge=0)]  # instants whose frames go along, if there is room
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the page of a run, and of the one beside it, if there is one."""
@@ -49,13 +52,25 @@ class PageExport(MotionExport):
         )
         space = {"srgb": "sRGB values", "linear": "linear light"}[shown[0].rig.averaging_space]
         counts = " and ".join(f"{len(avatar.rig.means):,}" for avatar in shown)
-        text = environment.get_template("page.html.jinja").render(
+        write = partial(
+            environment.get_template("page.html.jinja").render,
             name=" | ".join(run.name for run in runs),
             summary=f"{counts} Gaussians, averaged as {space}",
             avatars=[run.name for run in runs],
             licence=f"Body: {runs[0].observations.body.licence}",
             style=(FOLDER / "page.css").read_text(),
-            script="\n".join((FOLDER / name).read_text() for name in SCRIPTS),
-            payload=page_payload(shown, self.pictures),
+            script="\n".join(_without_comments((FOLDER / name).read_text()) for name in SCRIPTS),
         )
-        return (text + "\n").encode()
+        small = sum(len(avatar.rig.means) for avatar in shown) <= SMALL
+        room = MOST_BYTES - len(_bytes(write(payload=""))) if small else None
+        return _bytes(write(payload=page_payload(shown, self.pictures, room)))
+
+
+def _bytes(text: str) -> bytes:
+    return f"{text}\n".encode()
+
+
+def _without_comments(script: str) -> str:
+    """Its lines without indentation; none that are empty, or a comment alone."""
+    lines = (line.strip() for line in script.splitlines())
+    return "\n".join(line for line in lines if line and not line.startswith("//"))
