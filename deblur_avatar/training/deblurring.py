@@ -168,7 +168,7 @@ def _draw_piece(
     turns = [axis for axis in (0, 2, 3) if below(2)]
     swap = below(2)
 
-    def piece(clip: UInt8[Tensor, "T D H W"]) -> Float[Tensor, "T D H W"]:
+    def piece(clip: UInt8[Tensor, "T D H W"]) -> Float[Tensor, "N D S S"]:
         cut = clip[..., top : top + params.size, left : left + params.size]
         cut = cut[:, order].float().flip(turns)
         return cut.transpose(2, 3) if swap else cut
