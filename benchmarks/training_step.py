@@ -22,6 +22,7 @@ the share with it, which is rather too low.
 
 import argparse
 import json
+import math
 import time
 from collections.abc import Iterable
 from dataclasses import replace
@@ -58,6 +59,7 @@ from deblur_avatar.pipeline.trajectory import new_trajectory
 from deblur_avatar.run import stage
 from deblur_avatar.training.params import FitParams, RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.supervision import Compared
 from deblur_avatar.training.trainer import AvatarFit
 
 PARAMETERS = Path("params.yaml")
@@ -111,6 +113,7 @@ def observations(size: int) -> Observations:
         train_camera=0,
         body=body,
         poses=poses,
+        pose_std=math.radians(1.5),
         weights=torch.ones(FRAMES),
         frame_indices=tuple(range(FRAMES)),
         timestamps=torch.arange(FRAMES) / FPS,
@@ -170,9 +173,10 @@ def begin(
 
 def naive(fit: AvatarFit) -> Step:
     """The same step of `paper` without sharing anything between the instants of an exposure."""
-    model, camera = fit.avatar, fit._camera
+    model = fit.avatar
 
     def render(index: int, rotations: Tensor, transl: Tensor) -> tuple[Tensor, Tensor, Any, Any]:
+        camera = fit._targets.camera
         transforms = model.transforms(rotations[None], transl[None])
         frame_state = model.condition(rotations, index, transforms[0], camera.viewmat)
         drawn = model.render(frame_state, transforms, camera)
@@ -181,6 +185,8 @@ def naive(fit: AvatarFit) -> Step:
         return drawn.image[0], alpha, frame_state, drawn
 
     def step(iteration: int) -> None:
+        now = fit._step(fit._params.schedule.fusion - STEPS + iteration)
+        fit._climb(now.iteration)
         index = fit._next_frame()
         target, instants = fit._targets[index], fit.trajectory(index)
         drawn = [
@@ -195,9 +201,8 @@ def naive(fit: AvatarFit) -> Step:
         assert frame_state.pose_code is not None
         covered = (alpha > 0) | (sharp_alpha > 0)
         blend = fit.fusion(sharp, covered, frame_state.pose_code, index)
-        now = fit._step(fit._params.schedule.fusion - STEPS + iteration)
         terms = fit.objective.pictures(
-            [(1.0, (1 - blend) * sharp + blend * mean)], alpha, target
+            [Compared(1.0, torch.lerp(sharp, mean, blend), alpha)], alpha, target
         ) | fit.objective.regularisers(rendering, now)
         fit.optimizers.step(now, torch.stack(list(terms.values())).sum())
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import deblur_avatar.loading  # noqa: F401
 from deblur_avatar import run
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.config.reading import load_params
