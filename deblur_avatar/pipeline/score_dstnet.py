@@ -13,7 +13,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.deblurring_clips import DeblurringClips
 from deblur_avatar.config.section import Count, Params
-from deblur_avatar.imaging import metrics
+from deblur_avatar.evaluation.deblurring_measures import deblurring_measures
 from deblur_avatar.imaging.deblurring.deblurrer import Deblurrer, Pictures
 from deblur_avatar.imaging.deblurring.kinds import DeblurrerParams
 
@@ -74,17 +74,9 @@ def _by_name(
 def _means(
     made: list[Pictures], blurred: list[Pictures], clips: DeblurringClips
 ) -> dict[str, float]:
-    found: dict[str, list[Tensor]] = {"psnr": [], "psnr_person": [], "psnr_matte": []}
+    found: dict[str, list[Tensor]] = {}
     for person, (one, given) in enumerate(zip(made, blurred, strict=True)):
-        pictures, wanted = _unit(one.frames), _unit(clips.sharp[person])
-        matte, truth = _unit(one.mattes), _unit(clips.sharp_mattes[person])
-        covered = (truth > 0) | (given.mattes > 0)
-        layers = [c[..., None].expand(*c.shape, 3) for c in (matte, truth)]
-        found["psnr"].append(metrics.psnr(pictures, wanted))
-        found["psnr_person"].append(metrics.psnr(pictures, wanted, covered))
-        found["psnr_matte"].append(metrics.psnr(layers[0], layers[1]))
+        sharp = Pictures(clips.sharp[person], clips.sharp_mattes[person])
+        for name, scores in deblurring_measures(one, given, sharp).items():
+            found.setdefault(name, []).append(scores)
     return {name: float(torch.cat(scores).mean()) for name, scores in found.items()}
-
-
-def _unit(codes: Tensor) -> Tensor:
-    return codes.float() / 255

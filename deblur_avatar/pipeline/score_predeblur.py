@@ -5,10 +5,9 @@ Apart from `predeblur`, which may not see sharp frames.
 
 from pathlib import Path
 
-from torch import Tensor
-
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.imaging import metrics
+from deblur_avatar.evaluation.deblurring_measures import deblurring_measures
+from deblur_avatar.imaging.deblurring.deblurrer import Pictures
 
 
 def score_predeblur(
@@ -25,24 +24,16 @@ def score_predeblur(
         sharp: folder of the sharp observations, empty where there are none.
     """
     keys = ("psnr", "psnr_person", "psnr_matte")
-    names = [f"{key}_{which}" for which in ("blurred", "deblurred") for key in keys]
     if not (sharp / "manifest.json").is_file():
-        return dict.fromkeys(names)
+        return dict.fromkeys(f"{key}_{which}" for which in ("blurred", "deblurred") for key in keys)
     frames = list(blurred.train)
     truth = Observations.load(sharp)
-    wanted, matte = _unit(truth.frames[frames]), _unit(truth.mattes[frames])
-    person = (matte > 0) | (blurred.mattes[frames] > 0)
-    scores: list[Tensor] = []
-    for made in (blurred, deblurred):
-        pictures, coverage = _unit(made.frames[frames]), _unit(made.mattes[frames])
-        layers = [c[..., None].expand(*c.shape, 3) for c in (coverage, matte)]
-        scores += [
-            metrics.psnr(pictures, wanted),
-            metrics.psnr(pictures, wanted, person),
-            metrics.psnr(layers[0], layers[1]),
-        ]
-    return {name: float(score.mean()) for name, score in zip(names, scores, strict=True)}
-
-
-def _unit(codes: Tensor) -> Tensor:
-    return codes.float() / 255
+    given, made, wanted = (
+        Pictures(some.frames[frames], some.mattes[frames]) for some in (blurred, deblurred, truth)
+    )
+    before, after = (deblurring_measures(one, given, wanted) for one in (given, made))
+    return {
+        f"{key}_{which}": float(scores[key].mean())
+        for which, scores in (("blurred", before), ("deblurred", after))
+        for key in keys
+    }

@@ -28,7 +28,7 @@ COLORS = {
     "no_fusion": "#4f9ab8", "no_nonrigid": "#3fa7a0", "n3": "#9cc3e6", "paper": "#2b6cb0",
     "n7": "#6ea6da", "n9": "#5590cb", "n13": "#1d4f86", "cubic": "#6a5acd", "learned": "#a06cc0",
     "released": "#8a5fb0", "lean": "#1f8a5b", "pair": "#4f9ab8", "mad": "#b5487a",
-    "clip": "#1f8a5b", "oracle_clip": "#3d4550",
+    "clip": "#1f8a5b", "oracle_clip": "#3d4550", "deblurred": "#d08a2e",
 }  # fmt: skip
 OTHER_COLORS = ("#b5487a", "#7a6a4f", "#3d7f3a", "#b08a00", "#00798c")  # methods without their own
 PANEL, LEGEND = (4.6, 3.4), 1.5  # inches: width and height, width

@@ -15,7 +15,6 @@ from deblur_avatar.reporting.charts import COLORS, INK, lay_out, legend, panels
 from deblur_avatar.reporting.proof_tables import SETTLED, SHARP, settled_s
 from deblur_avatar.reporting.speed_accuracy import pareto_front
 
-MOTION_COLORS = COLORS | {"deblurred": COLORS["predeblur"]}  # which other charts have as a method
 Curve = Sequence[tuple[float, float]]
 Curves = Mapping[str, Mapping[str, Curve]]  # by avatar and motion
 
@@ -32,7 +31,7 @@ def quality_chart(scenes: Mapping[str, Curves], quality: str) -> Figure:
     """
     avatars = list(dict.fromkeys(avatar for curves in scenes.values() for avatar in curves))
     motions = {m for curves in scenes.values() for every in curves.values() for m in every}
-    colors = {motion: MOTION_COLORS[motion] for motion in MOTIONS if motion in motions}
+    colors = {motion: COLORS[motion] for motion in MOTIONS if motion in motions}
     figure, axes = panels(len(scenes), len(avatars), named=True)
     for line, (scene, curves) in zip(axes, scenes.items(), strict=True):
         front = front_of(curves)

@@ -15,20 +15,21 @@ from deblur_avatar.config.reading import parse
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import invert_rigid
 from deblur_avatar.training.params import RecipeParams
-from tests.avatars.network_avatar_checks import (
+from tests.avatars.avatar_checks import (
     CPU,
+    all_unknowns_are_in_networks,
     drawn,
     fitted,
     fitted_twice,
     is_drawn_as_saved,
     model_is_refused,
-    no_rig_carries_it,
+    nothing_exports_it,
     rates_of_all_unknowns,
-    seeded,
     state_of,
     stopped_ends_with_the_same_bytes,
 )
 from tests.changed_parameters import changed
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
@@ -383,6 +384,7 @@ def test_surfaces_far_from_the_body_and_air_deep_in_it_cost(
 
 def test_every_unknown_has_one_learning_rate_that_falls_to_a_tenth(avatar, recipe):
     rates = rates_of_all_unknowns(avatar, recipe)
+    all_unknowns_are_in_networks(avatar)
     wanted = {"sdf": 5e-4, "color": 1e-3, "width": 1e-3, "latents": 1e-3, "skinning": 1e-4}
     for name, first in wanted.items():
         assert (rates[name].at(0.0), rates[name].at(1.0)) == pytest.approx((first, first / 10))
@@ -427,4 +429,4 @@ def test_a_fit_that_was_stopped_ends_with_the_same_bytes(
 
 
 def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
-    no_rig_carries_it(avatar, "which is a volume", observations, motion)
+    nothing_exports_it(avatar, "which is a volume", observations, motion)

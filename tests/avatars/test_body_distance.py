@@ -10,10 +10,7 @@ from deblur_avatar.avatars.body_distance import (
     outer_surface,
     signed_distances,
 )
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
+from tests.randomness import seeded
 
 
 def boxes(*sides):

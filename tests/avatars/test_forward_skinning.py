@@ -8,12 +8,9 @@ from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
 from deblur_avatar.avatars.weight_volume import base_weights, smoothed
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import skin_points
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture(scope="module")

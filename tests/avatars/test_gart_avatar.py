@@ -7,23 +7,26 @@ from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.gart_avatar import GartAvatar, discs_on_surface
 from deblur_avatar.avatars.gart_params import GartParams, HeldRate
 from deblur_avatar.avatars.gaussians import Gaussians
-from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.avatars.splats import SplatRendering
 from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.posed_gaussians import posed_frame
-from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, quat_to_matrix
 from deblur_avatar.geometry.skinning import invert_rigid
 from deblur_avatar.motion.frame import FixedMotion, FixedParams
-from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.rendering.covariances import whole_matrices
 from deblur_avatar.training.optimizers import Optimizers
 from deblur_avatar.training.params import FitParams, RecipeParams
+from tests.avatars.avatar_checks import (
+    fitted_twice,
+    is_drawn_as_saved,
+    model_is_refused,
+    no_rig_carries_it,
+    rates_of_all_unknowns,
+)
 from tests.changed_parameters import changed
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
@@ -34,10 +37,6 @@ UNSEEN = SplatRendering(
     torch.zeros(1, 2, 2, 3), torch.zeros(1, 2, 2), 1, None, torch.zeros(1, 1, 3),
     torch.zeros(1, 1, 6),
 )  # fmt: skip
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture
@@ -271,11 +270,7 @@ def test_the_size_of_scales_is_that_of_the_longest(avatar, recipe):
 
 
 def test_every_unknown_has_one_learning_rate(avatar, recipe):
-    groups = avatar.parameter_groups()
-    assert groups.keys() == recipe.fitting.learning_rates(recipe.final_share).keys()
-    held = [value for named in groups.values() for _, value in named]
-    assert len(held) == len(set(held))
-    assert set(held) == set(avatar.parameters())
+    rates_of_all_unknowns(avatar, recipe)
 
 
 def test_rates_of_the_volume_hold_and_then_fall():
@@ -310,24 +305,11 @@ def test_degrees_of_harmonics_are_as_many_as_when_they_count(tiny_content):
     [("volume.nodes", [2, 8, 8]), ("volume.smoothing", -1), ("harmonics", 4)],
 )
 def test_models_that_cannot_be_made_are_refused(tiny_content, path, value):
-    model = tiny_content["avatars"]["gart"]["model"]
-    *above, last = path.split(".")
-    section = model[above[0]] if above else model
-    section[last] = value
-    with pytest.raises(ConfigError, match=last):
-        parse(GartParams, model, "model")
+    model_is_refused(GartParams, tiny_content["avatars"]["gart"]["model"], path, value)
 
 
-def test_a_saved_avatar_is_drawn_as_it_was(unruly, swinging, front):
-    poses = swinging(2, 30.0)
-    saved = unruly.to_artifact(7)
-    assert saved.model["params"]["kind"] == "gart"
-    again = avatar_from_artifact(saved, unruly.body, CPU)
-    for one, other in zip(
-        render_avatar(unruly, poses, front.camera(0)),
-        render_avatar(again, poses, front.camera(0)), strict=True,
-    ):  # fmt: skip
-        assert torch.equal(one, other)
+def test_a_saved_avatar_is_drawn_as_it_was(unruly, swinging, front, tmp_path):
+    is_drawn_as_saved(unruly, unruly.body, swinging(2, 30.0), front.camera(0), tmp_path / "avatar")
 
 
 def test_a_mean_over_instants_is_the_mean_of_their_pictures(unruly, swinging, front):
@@ -340,23 +322,11 @@ def test_a_mean_over_instants_is_the_mean_of_their_pictures(unruly, swinging, fr
 
 
 def test_a_short_fit_explains_the_frames_better(observations, recipe, schedule):
-    runs = []
-    for _ in range(2):
-        torch.manual_seed(0)
-        terms = []
-        quick = schedule.model_copy(update={"warmup": 60, "trajectory": 61, "fusion": 62})
-        fitted, _, _ = warm_up(
-            observations, changed(recipe, "fitting.densify", max_growth=3.0), quick, device=CPU,
-            generator=seeded(), report=lambda iteration, found, to=terms: to.append(found),
-        )  # fmt: skip
-        runs.append(fitted)
+    quick = changed(recipe, "fitting.densify", max_growth=3.0)
+    found, terms = fitted_twice(observations, quick, schedule, 60)
+    assert found.networks["weight_volume.corrections"].any()
     pictures = [one["l1"] + one["dissimilarity"] + one["mask"] for one in terms]
     assert sum(pictures[-10:]) < 0.7 * sum(pictures[:10])
-    assert torch.equal(runs[0].means, runs[1].means)
-    assert torch.equal(
-        runs[0].networks["weight_volume.corrections"],
-        runs[1].networks["weight_volume.corrections"],
-    )
 
 
 def test_its_gaussians_alone_are_densified(avatar, recipe, schedule, observations):
@@ -367,7 +337,6 @@ def test_its_gaussians_alone_are_densified(avatar, recipe, schedule, observation
 
 
 def test_no_rig_carries_it_and_the_error_says_why(unruly, observations, motion):
-    run = FittedRun("capsules-gart", unruly.to_artifact(1), motion, observations)
-    with pytest.raises(ConfigError, match="kind gart, whose weights do not sum to 1.* latent"):
-        rigged_avatar(run)
+    why = "whose weights do not sum to 1.* latent"
+    run = no_rig_carries_it(unruly, why, observations, motion)
     assert len(posed_frame(run, 0).means) == 120

@@ -3,28 +3,26 @@ import torch
 
 from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.gauhuman_avatar import GauhumanAvatar, GauhumanParams
-from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed_vertices
 from deblur_avatar.config.reading import parse
-from deblur_avatar.errors import ConfigError
-from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.posed_gaussians import posed_frame
-from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import invert_rigid
-from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.params import RecipeParams
+from tests.avatars.avatar_checks import (
+    fitted_twice,
+    is_drawn_as_saved,
+    model_is_refused,
+    no_rig_carries_it,
+    rates_of_all_unknowns,
+)
 from tests.changed_parameters import changed
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 CPU = torch.device("cpu")
 FRAMES = 5
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture
@@ -144,12 +142,7 @@ def test_nearest_vertices_are_looked_up_until_gaussians_have_moved(avatar):
 
 
 def test_every_unknown_has_one_learning_rate_that_of_the_release(avatar, recipe):
-    groups = avatar.parameter_groups()
-    rates = recipe.fitting.learning_rates(recipe.final_share)
-    assert groups.keys() == rates.keys()
-    held = [value for named in groups.values() for _, value in named]
-    assert len(held) == len(set(held))
-    assert set(held) == set(avatar.parameters())
+    rates = rates_of_all_unknowns(avatar, recipe)
     ends = {name: (rate.at(0.0), rate.at(1.0)) for name, rate in rates.items()}
     a_tenth = 1.6e-4 * 0.01**0.1  # of the release's 30,000 iterations
     assert ends["means"] == pytest.approx((1.6e-4, a_tenth), rel=1e-3)
@@ -174,21 +167,11 @@ def test_it_densifies_by_divergence_near_the_body(avatar, recipe):
     [("weight_offsets", {"frequencies": 4, "hidden": [8]}), ("harmonics", -1)],
 )
 def test_models_that_cannot_be_made_are_refused(tiny_content, key, value):
-    model = tiny_content["avatars"]["gauhuman"]["model"] | {key: value}
-    with pytest.raises(ConfigError, match=key):
-        parse(GauhumanParams, model, "model")
+    model_is_refused(GauhumanParams, tiny_content["avatars"]["gauhuman"]["model"], key, value)
 
 
-def test_a_saved_avatar_is_drawn_as_it_was(taught, body, swinging, front):
-    poses = swinging(2, 30.0)
-    saved = taught.to_artifact(7)
-    assert saved.model["params"]["kind"] == "gauhuman"
-    again = avatar_from_artifact(saved, body, CPU)
-    for one, other in zip(
-        render_avatar(taught, poses, front.camera(0)),
-        render_avatar(again, poses, front.camera(0)), strict=True,
-    ):  # fmt: skip
-        assert torch.equal(one, other)
+def test_a_saved_avatar_is_drawn_as_it_was(taught, body, swinging, front, tmp_path):
+    is_drawn_as_saved(taught, body, swinging(2, 30.0), front.camera(0), tmp_path / "avatar")
 
 
 def test_a_short_fit_explains_the_frames_better_and_densifies_by_its_own_rule(
@@ -202,25 +185,14 @@ def test_a_short_fit_explains_the_frames_better_and_densifies_by_its_own_rule(
         return own(self, *given)
 
     monkeypatch.setattr(GauhumanAvatar, "edits", edits)
-    runs = []
-    for _ in range(2):
-        torch.manual_seed(0)
-        terms = []
-        quick = schedule.model_copy(update={"warmup": 60, "trajectory": 61, "fusion": 62})
-        fitted, _, _ = warm_up(
-            observations, changed(recipe, "fitting.rates", features=0.02), quick, device=CPU,
-            generator=seeded(), report=lambda iteration, found, to=terms: to.append(found),
-        )  # fmt: skip
-        runs.append(fitted)
+    quick = changed(recipe, "fitting.rates", features=0.02)
+    found, terms = fitted_twice(observations, quick, schedule, 60)
     assert asked
     pictures = [sum(one.values()) for one in terms]
     assert sum(pictures[-10:]) < 0.7 * sum(pictures[:10])
-    assert torch.equal(runs[0].means, runs[1].means)
-    assert runs[0].networks["weight_offsets.last.weight"].any()
+    assert found.networks["weight_offsets.last.weight"].any()
 
 
 def test_no_rig_carries_it_and_the_error_says_why(taught, observations, motion):
-    run = FittedRun("capsules-gauhuman", taught.to_artifact(1), motion, observations)
-    with pytest.raises(ConfigError, match="kind gauhuman, whose colours depend on the view"):
-        rigged_avatar(run)
+    run = no_rig_carries_it(taught, "whose colours depend on the view", observations, motion)
     assert len(posed_frame(run, 0).means) == 120

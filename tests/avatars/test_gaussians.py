@@ -7,14 +7,11 @@ from deblur_avatar.avatars.gaussians import (
     neighbour_indices,
     sample_surface,
 )
+from tests.randomness import seeded
 
 # A triangle of area 1.5 in the plane z = 0, one of area 0.5 in the plane z = 2.
 VERTICES = torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 1, 0], [0, 0, 2], [1, 0, 2], [0, 1, 2]])
 FACES = torch.tensor([[0, 1, 2], [3, 4, 5]])
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def test_samples_lie_where_their_barycentric_coordinates_say():

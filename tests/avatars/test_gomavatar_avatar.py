@@ -21,16 +21,18 @@ from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 from deblur_avatar.rendering.rasterize import rasterize
 from deblur_avatar.training.optimizers import Optimizers
 from deblur_avatar.training.params import FitParams, RecipeParams
-from tests.avatars.network_avatar_checks import (
+from tests.avatars.avatar_checks import (
+    all_unknowns_are_in_networks,
     fitted,
     fitted_twice,
     is_drawn_as_saved,
     model_is_refused,
-    no_rig_carries_it,
-    seeded,
+    nothing_exports_it,
+    rates_of_all_unknowns,
     stopped_ends_with_the_same_bytes,
 )
 from tests.changed_parameters import changed
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
@@ -355,15 +357,10 @@ def test_every_regulariser_has_a_weight_and_pulls_at_what_it_is_named_after(
 
 
 def test_every_unknown_has_one_learning_rate(avatar, recipe):
-    groups = avatar.parameter_groups()
-    assert groups.keys() == recipe.fitting.learning_rates(recipe.final_share).keys()
-    held = [value for named in groups.values() for _, value in named]
-    assert len(held) == len(set(held))
-    assert set(held) == set(avatar.parameters())
-    names = [name for named in groups.values() for name, _ in named]
-    assert set(names) == avatar.to_artifact(1).networks.keys()
+    rates_of_all_unknowns(avatar, recipe)
+    all_unknowns_are_in_networks(avatar)
     parts = {"shading": "shading.", "nonrigid": "offsets."}
-    for group, named in groups.items():
+    for group, named in avatar.parameter_groups().items():
         assert all(name.startswith(parts.get(group, f"mesh.{group}")) for name, _ in named)
 
 
@@ -430,4 +427,4 @@ def test_a_fit_that_was_stopped_ends_with_the_same_bytes(
 
 
 def test_no_rig_carries_it_and_the_error_says_why(avatar, observations, motion):
-    no_rig_carries_it(avatar, "whose vertices a network moves", observations, motion)
+    nothing_exports_it(avatar, "whose vertices a network moves", observations, motion)

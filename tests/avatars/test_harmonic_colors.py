@@ -11,14 +11,11 @@ from deblur_avatar.avatars.harmonic_colors import (
     seen_from,
 )
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 UP = torch.tensor([[0.0, 1.0, 0.0]])
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def unit(count, dtype=torch.float32):

@@ -9,14 +9,11 @@ from deblur_avatar.avatars.isometry import isometry, isometry_reference
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 BOTH = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # kernel, twin
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def others(count, near):

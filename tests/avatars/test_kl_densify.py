@@ -14,6 +14,7 @@ from deblur_avatar.avatars.kl_densify import (
 )
 from deblur_avatar.geometry.rotations import quat_multiply, quat_to_matrix
 from deblur_avatar.training.densify import Densifier
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
@@ -25,10 +26,6 @@ PARAMS = KlDensifyParams(
     prune_scale_m=10.0, max_growth=3.0, kl_split=0.4, kl_merge=0.1, body_distance_m=0.05,
 )  # fmt: skip
 STILL_QUAT = torch.tensor([1.0, 0, 0, 0])
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def along(*places, scales, opacities=None):

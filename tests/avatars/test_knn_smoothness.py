@@ -9,14 +9,11 @@ from deblur_avatar.avatars.gaussians import neighbour_indices
 from deblur_avatar.avatars.knn_smoothness import knn_smoothness, knn_smoothness_reference
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 BOTH = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # kernel, twin
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def drawn(count, width, near, dtype=torch.float32):

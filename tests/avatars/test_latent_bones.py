@@ -7,15 +7,12 @@ from deblur_avatar.avatars.latent_bones import LatentBones, with_latent_bones
 from deblur_avatar.bodies.posed_body import shaped_joints, transforms_from_rotations
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import blend_transforms, transform_points
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 JOINTS = 24
 SHIFT = torch.tensor([1.0, -2.0, 3.0])
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def turns(seed=0, dtype=torch.float32):

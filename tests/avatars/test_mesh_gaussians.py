@@ -10,15 +10,12 @@ from deblur_avatar.avatars.mesh_gaussians import (
 )
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.rendering.covariances import whole_matrices
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 THICKNESS = 1e-3
 FACE = torch.tensor([[0, 1, 2]])
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def equilateral(radius=0.02, dtype=torch.float64):

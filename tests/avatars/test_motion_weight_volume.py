@@ -12,6 +12,7 @@ from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.skinning import invert_rigid
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
@@ -19,10 +20,6 @@ SIZES = {"margin_m": 0.3, "code": 8, "dense": 6, "channels": [5, 4]}
 KNEE, ANKLE, HEAD, HAND = (
     SMPL_JOINT_NAMES.index(name) for name in ("left_knee", "left_ankle", "head", "left_hand")
 )
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def named(points, joints):

@@ -4,12 +4,9 @@ import torch
 from deblur_avatar.avatars.pixel_patches import RaysParams, draw_patches, patch_middles, weighed
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
+from tests.randomness import seeded
 
 RAYS = {"patches": 2, "size": 3, "on_person": 0.8, "coarse": 4}
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def masks():

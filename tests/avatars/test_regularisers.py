@@ -4,12 +4,9 @@ import pytest
 import torch
 
 from deblur_avatar.avatars.regularisers import elongation, skinning_distance
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def test_skinning_sums_over_joints_and_averages_over_points():

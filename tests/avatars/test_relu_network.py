@@ -2,12 +2,9 @@ import pytest
 import torch
 
 from deblur_avatar.avatars.relu_network import ReluNetwork
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def network(re_entry=2, hidden=(7, 7, 7), condition=4):

@@ -4,12 +4,9 @@ import pytest
 import torch
 
 from deblur_avatar.avatars.sdf_field import SdfField, density, eikonal
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture

@@ -15,13 +15,10 @@ from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.rendering.volume_rendering import Rays
+from tests.randomness import seeded
 
 SAMPLES = {"near": 5, "front": 4, "free": 8, "band_m": 0.05}
 RADIUS = 0.12
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture

@@ -6,12 +6,9 @@ from deblur_avatar.avatars.weight_offsets import (
     encoded_positions,
     nearest_weights,
 )
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture

@@ -13,14 +13,11 @@ from deblur_avatar.avatars.weight_volume import (
     trilinear,
     volume_box,
 )
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 NODES = (5, 9, 7)  # along z, y and x
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ from deblur_avatar.geometry.rotations import (
 from deblur_avatar.geometry.splines import basis
 from deblur_avatar.motion.kinds import trajectory_from_artifact
 from deblur_avatar.motion.mad import KNOTS, MadMotion, MadParams, meeting
+from tests.randomness import seeded
 
 FPS = 64  # so that times are exact
 CONTENT = {
@@ -25,10 +26,6 @@ CONTENT = {
     "rates": {"poses": 1e-3, "transl": 1e-4}, "priors": {"continuity": 1.0},
 }  # fmt: skip
 U = torch.linspace(0, 1, 9, dtype=torch.float64)
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def params(**changes) -> MadParams:

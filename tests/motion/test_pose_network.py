@@ -17,12 +17,9 @@ from deblur_avatar.motion.pose_network import (
     PoseNetwork,
     PoseNetworkParams,
 )
+from tests.randomness import seeded
 
 JOINTS = 24
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def network(hidden=(8, 8), seed=0):

@@ -14,12 +14,9 @@ from deblur_avatar.motion.frame import FixedMotion, FrameMotion
 from deblur_avatar.motion.kinds import trajectory_from_artifact
 from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.motion.trajectory import instants
+from tests.randomness import seeded
 
 TIMES = torch.arange(4) / 60
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 @pytest.fixture

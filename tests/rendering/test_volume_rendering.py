@@ -11,12 +11,9 @@ from deblur_avatar.rendering.volume_rendering import (
     sample_depths,
     sample_weights,
 )
+from tests.randomness import seeded
 
 LOW, HIGH = torch.tensor([-1.0, -2.0, 3.0]), torch.tensor([1.0, 2.0, 5.0])
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def depths_of(origin, direction):

@@ -1,8 +1,8 @@
 import re
 
 from deblur_avatar.config.proof import MOTIONS
-from deblur_avatar.reporting.charts import drawn
-from deblur_avatar.reporting.proof_charts import MOTION_COLORS, front_of, quality_chart
+from deblur_avatar.reporting.charts import COLORS, drawn
+from deblur_avatar.reporting.proof_charts import front_of, quality_chart
 
 CURVES = {
     "networks": {"paper": [(10.0, 20.0), (40.0, 24.0)], "oracle": [(5.0, 25.0), (30.0, 29.0)]},
@@ -33,4 +33,4 @@ def test_equal_curves_give_equal_bytes():
 
 
 def test_every_motion_of_the_grid_has_a_color_of_its_own():
-    assert len({MOTION_COLORS[motion] for motion in MOTIONS}) == len(MOTIONS)
+    assert len({COLORS[motion] for motion in MOTIONS}) == len(MOTIONS)

@@ -4,6 +4,7 @@ import torch
 from deblur_avatar.avatars.gaussians import Gaussians
 from deblur_avatar.avatars.params import DensifyParams
 from deblur_avatar.training.densify import Densifier, replace_gaussians
+from tests.randomness import seeded
 
 CPU = torch.device("cpu")
 SMALL, LARGE, HUGE = 0.01, 0.1, 1.0  # metres
@@ -11,10 +12,6 @@ PARAMS = DensifyParams(
     start=1, stop=100, every=10, gradient=1e-3, clone_below_m=0.03, prune_opacity=0.05,
     prune_scale_m=0.5, max_growth=2.0,
 )  # fmt: skip
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def gaussians_of(scales, opacities=None):

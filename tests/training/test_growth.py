@@ -7,10 +7,7 @@ from deblur_avatar.avatars.gaussians import Gaussians
 from deblur_avatar.rendering.covariance_factors import covariance_factors, covariances
 from deblur_avatar.rendering.rasterize import rasterize
 from deblur_avatar.training.growth import morton_codes, multiply_gaussians
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
+from tests.randomness import seeded
 
 
 def fog(count=400):

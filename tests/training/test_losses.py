@@ -2,12 +2,9 @@ import pytest
 import torch
 
 from deblur_avatar.training import losses
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def image(seed=0, height=12, width=10):

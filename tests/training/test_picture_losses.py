@@ -14,16 +14,13 @@ from deblur_avatar.training.supervision import Compared
 from deblur_avatar.training.targets import Target
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
 WEIGHTS = {"l1": 1.0, "structure": 0.3, "mask": 0.2}
 BOX = (3, 2, 36, 45)  # odd sides and odd halves
 WHOLE = (0, 0, 40, 50)
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def render(height=50, width=40, seed=0):

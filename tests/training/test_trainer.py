@@ -21,6 +21,7 @@ from deblur_avatar.training.params import FitParams
 from deblur_avatar.training.schedule import LevelParams, ScheduleParams
 from deblur_avatar.training.trainer import AvatarFit
 from tests.changed_parameters import changed
+from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
 
@@ -28,10 +29,6 @@ CPU = torch.device("cpu")
 FUSION = FusionNetworkParams(
     precision="bfloat16", hidden=(8,), frame_codes=4, color_features=4, pose=True, rate=5e-4
 )
-
-
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
 
 
 def quiet(iteration, terms):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 MARGIN = 16  # pixels around the person in which anything is changed
@@ -58,3 +58,13 @@ def person_box(matte: UInt8[Tensor, "H W"]) -> tuple[slice, slice] | None:
         return None
     top, left = max(int(rows.min()) - MARGIN, 0), max(int(columns.min()) - MARGIN, 0)
     return slice(top, int(rows.max()) + MARGIN + 1), slice(left, int(columns.max()) + MARGIN + 1)
+
+
+def values_of(codes: UInt8[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """Values in [0, 1] of 8-bit codes."""
+    return codes.float() / 255
+
+
+def codes_of(values: Float[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"]:
+    """The nearest 8-bit codes of values in [0, 1]."""
+    return (values * 255).round().to(torch.uint8)

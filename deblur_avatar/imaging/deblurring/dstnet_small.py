@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.config.reading import expand_environment
 from deblur_avatar.config.section import Count, Params
-from deblur_avatar.imaging.deblurring.deblurrer import Pictures, person_box
+from deblur_avatar.imaging.deblurring.deblurrer import (
+    Pictures,
+    codes_of,
+    person_box,
+    values_of,
+)
 from deblur_avatar.imaging.dstnet import Dstnet, restore
 from deblur_avatar.imaging.dstnet_weights import load_dstnet
 
@@ -52,12 +56,12 @@ class DstnetSmallParams(Params):
         made = layers.clone()
         if whole is None:
             return made
-        unit = layers[..., whole[0], whole[1]].float() / 255
-        restored = torch.empty_like(unit)
+        values = values_of(layers[..., whole[0], whole[1]])
+        restored = torch.empty_like(values)
         for piece in pieces(len(layers), self.frames_at_once):
-            restored[piece] = restore(network, unit[piece])
+            restored[piece] = restore(network, values[piece])
         codes = torch.zeros_like(layers)
-        codes[..., whole[0], whole[1]] = _codes(restored)
+        codes[..., whole[0], whole[1]] = codes_of(restored)
         for index, matte in enumerate(layers[:, 3]):
             box = person_box(matte)
             if box is not None:
@@ -71,7 +75,3 @@ def pieces(count: int, at_once: int) -> list[slice]:
     """
     starts = [min(start, max(count - at_once, 0)) for start in range(0, count, at_once)]
     return [slice(start, min(start + at_once, count)) for start in starts]
-
-
-def _codes(values: Float[Tensor, "*shape"]) -> Tensor:
-    return (values * 255).round().to(torch.uint8)

@@ -10,7 +10,12 @@ from torch import Tensor
 
 from deblur_avatar.config.section import Count, Fraction, Params, Positive
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
-from deblur_avatar.imaging.deblurring.deblurrer import Pictures, person_box
+from deblur_avatar.imaging.deblurring.deblurrer import (
+    Pictures,
+    codes_of,
+    person_box,
+    values_of,
+)
 from deblur_avatar.imaging.deconvolution import deblur_by_matte
 
 
@@ -43,9 +48,9 @@ class MatteParams(Params):
         self, frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], averaging_space: str
     ) -> tuple[UInt8[Tensor, "H W 3"], UInt8[Tensor, "H W"], float]:
         """One frame's box, and how long its PSFs are where the person is, pixels."""
-        colors = _unit(frame)
+        colors = values_of(frame)
         colors = srgb_to_linear(colors) if averaging_space == "linear" else colors
-        coverage = _unit(matte)
+        coverage = values_of(matte)
         layers, lengths = deblur_by_matte(
             torch.cat([colors.permute(2, 0, 1), coverage[None]]),
             self.lengths, self.angles,
@@ -54,12 +59,4 @@ class MatteParams(Params):
         colors = layers[:3].permute(1, 2, 0)
         colors = linear_to_srgb(colors) if averaging_space == "linear" else colors
         mean = float((lengths * coverage).sum() / coverage.sum())
-        return _codes(colors), _codes(layers[3]), mean
-
-
-def _unit(codes: Tensor) -> Tensor:
-    return codes.float() / 255
-
-
-def _codes(values: Tensor) -> Tensor:
-    return (values * 255).round().to(torch.uint8)
+        return codes_of(colors), codes_of(layers[3]), mean

@@ -3,12 +3,9 @@ import torch
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.sources.studio.motion import Moves, move
 from deblur_avatar.sources.studio.noise import correlated_noise, disturb
+from tests.randomness import seeded
 
 TIMES = torch.arange(200, dtype=torch.float64) / 60
-
-
-def seeded(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
 
 
 def angles(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:

@@ -10,10 +10,7 @@ from deblur_avatar.sources.studio.sensor import (
     instants_of_frame,
     record,
 )
-
-
-def seeded() -> torch.Generator:
-    return torch.Generator().manual_seed(0)
+from tests.randomness import seeded
 
 
 def test_instants_fill_the_exposure_about_its_middle():
