@@ -33,7 +33,8 @@ run the repository's own pipelines, in a checkout of it.
 
 exit codes:
   0    all went well; of video also where the avatar fails its self-check, which its last line says
-  1    bad input: one line says what was wanted, what came, where, and what to do
+  1    bad input: one line says what was wanted, what came, where, and what to do;
+       of sweep and proof also a task that failed
   2    bad usage
   130  stopped by Ctrl-C; the same command goes on where it stopped
   other codes are DVC's: a stage failed, and what it said stands above
