@@ -1,6 +1,6 @@
 """Steps to the ceiling: what place, pose and the avatar itself have of what is missing.
 
-    python -m benchmarks.gap_steps [--scenes pacing hopping whirling] [--json FILE]
+    python -m benchmarks.gap_steps SCENE... [--json FILE]
 
 renders the test views of cells of the proof once more, each avatar as it was `fitted`, then
 `placed` (the whole body moved rigidly so that its joints of this instant lie nearest the true ones:
@@ -38,7 +38,6 @@ from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging import metrics
 
 DATA = Path("experiments/proof/data")
-SCENES = ("pacing", "hopping", "whirling")
 CELLS = ("plain-clip", "plain-oracle_clip", "plain-ceiling")
 REACH, STEP = 2.0, 0.25  # pixels by which a picture is shifted, to each side
 
@@ -145,7 +144,7 @@ def table(scenes: Sequence[str], data: Path) -> Mapping[str, Mapping[str, dict[s
 def main() -> None:
     """Render, score, print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--scenes", nargs="+", default=SCENES)
+    parser.add_argument("scenes", nargs="+", help="of the proof")
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
