@@ -22,20 +22,20 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.avatars.render import render_avatar
-from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.bodies.posed_body import posed, shaped_joints
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.evaluation.comparisons import pose_of_view, true_poses
-from deblur_avatar.evaluation.registration import Similarity, seen_through, similarity
+from deblur_avatar.evaluation.comparisons import compare, pose_of_view, true_poses
+from deblur_avatar.evaluation.registration import similarity
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
-from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging import metrics
+from deblur_avatar.sources.given_poses import before_still_camera
 
 DATA = Path("experiments/proof/data")
 CELLS = ("plain-clip", "plain-oracle_clip", "plain-ceiling")
@@ -77,34 +77,29 @@ class Cell:
         return {name: round(sum(values) / len(values), 3) for name, values in found.items()}
 
     def _of_view(self, view: TruthView) -> dict[str, float]:
-        body, camera = self.observations.body, self.observations.cameras.camera(view.camera)
         fitted = pose_of_view(self.observations, self.motion, view)
         true = self.true.at([view.position])
-        joints = [posed(body, pose).joints[0].double() for pose in (fitted, true)]
-        moved = replace(camera, viewmat=seen_through(camera.viewmat, rigid(*joints)))
-        alike = replace(true, betas=self.model.betas.detach().cpu())
-        picture = self._picture(view, alike, camera)
-        return {
-            "fitted": psnr_seen(self._picture(view, fitted, camera), view),
-            "placed": psnr_seen(self._picture(view, fitted, moved), view),
-            "poses": psnr_seen(picture, view),
-            "shifted": max(psnr_seen(shift, view) for shift in shifts(picture)),
+        truer = {
+            "fitted": fitted,
+            "placed": placed(self.observations.body, fitted, true),
+            "poses": replace(true, betas=self.model.betas.detach().cpu()),
         }
-
-    def _picture(self, view: TruthView, pose: Poses, camera: Camera) -> Float[Tensor, "H W 3"]:
-        train = self.observations.train
-        image, _ = render_avatar(
-            self.model, pose, camera,
-            frame=view.position if view.position in train else max(train),
-            background=torch.tensor(self.reference.background),
-        )  # fmt: skip
-        return image[0].clamp(0, 1)
+        seen = {
+            name: compare(self.model, self.observations, self.reference, view, pose)
+            for name, pose in truer.items()
+        }
+        picture = seen["poses"].render.float() / 255
+        best = max(psnr_seen(shift, view) for shift in shifts(picture))
+        return {name: one.scores["psnr_seen"] for name, one in seen.items()} | {"shifted": best}
 
 
-def rigid(found: Float[Tensor, "J 3"], true: Float[Tensor, "J 3"]) -> Similarity:
-    """The turn and shift of least squared distances; sizes stay."""
-    turn = similarity(found, true).turn
-    return Similarity(1.0, turn, true.mean(0) - turn @ found.mean(0))
+def placed(body: Body, fitted: Poses, true: Poses) -> Poses:
+    """A pose moved rigidly, so that its joints are nearest the true ones; sizes stay."""
+    found, wanted = (posed(body, pose).joints[0].double() for pose in (fitted, true))
+    move = torch.eye(4)
+    turn = similarity(found, wanted).turn
+    move[:3, :3], move[:3, 3] = turn, wanted.mean(0) - turn @ found.mean(0)
+    return before_still_camera(fitted, move[None], shaped_joints(body, fitted.betas)[0])
 
 
 def psnr_seen(picture: Float[Tensor, "H W 3"], view: TruthView) -> float:

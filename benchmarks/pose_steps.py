@@ -6,7 +6,7 @@ detects the person in the film of a scene of `source: street` and fits the body 
 time with other parts of what the fit is given replaced by the truth: focal length, mattes,
 landmarks in the picture, the detector's guess of their depth. Prints JSON: the errors of joints
 of each fit, as in `metrics/<scene>/<method>.json` (`steps.poses`), so that it can be seen which
-step loses how much. Needs `dvc repro blur@<scene>`; 3 minutes, no avatar.
+step loses how much. Needs `dvc repro preprocess@<scene>`; 3 minutes, no avatar.
 """
 
 import argparse
@@ -21,20 +21,22 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.clip import BlurryClip
+from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.bodies.posed_body import joint_transforms, posed, shaped_joints
 from deblur_avatar.body_estimation.body_fit import fit_body
 from deblur_avatar.body_estimation.body_landmarks import landmark_map
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
+from deblur_avatar.body_estimation.monocular_prior import HIPS
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.comparisons import true_poses
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import background_of
 from deblur_avatar.imaging.matting import trim_mattes
 
-HIPS = (23, 24)  # MediaPipe's, about which depth is guessed
 FITS = {
     "as estimated": (),
     "true focal length": ("focal",),
@@ -55,16 +57,15 @@ class Truth:
     mattes: UInt8[Tensor, "F H W"]
 
     @classmethod
-    def of(cls, reference: Reference, clip: BlurryClip) -> "Truth":
+    def of(cls, observations: Observations, reference: Reference) -> "Truth":
         """At the middle of each exposure.
 
         Raises:
             ArtifactError: if the film does not know it.
         """
-        if reference.filmed is None or reference.motion is None or reference.motion_times is None:
+        poses = true_poses(observations, reference)
+        if reference.filmed is None or poses is None:
             raise ArtifactError("this scene knows no true poses; one of source: street does")
-        apart = reference.motion_times[None] - clip.timestamps[:, None]
-        poses = reference.motion.at(apart.abs().argmin(1))
         return cls(poses, reference.filmed.focal, reference.filmed.mattes)
 
 
@@ -89,10 +90,8 @@ def with_truth(
         body, poses.betas, poses.global_orient, poses.body_pose, poses.transl
     )
     places = marks.positions(transforms, shaped_joints(body, poses.betas), marks.offsets)
-    viewmat, K = (
-        clip.cameras.viewmats[clip.train_camera],
-        clip.cameras.Ks[clip.train_camera].clone(),
-    )
+    viewmat, Ks = clip.cameras.viewmats[clip.train_camera], clip.cameras.Ks.clone()
+    K = Ks[clip.train_camera]
     K[0, 0] = K[1, 1] = truth.focal
     if "points" in parts:
         points = person.points.clone()
@@ -106,8 +105,6 @@ def with_truth(
     if "mattes" in parts:
         person = replace(person, mattes=truth.mattes)
     if "focal" in parts:
-        Ks = clip.cameras.Ks.clone()
-        Ks[clip.train_camera] = K
         clip = replace(clip, cameras=replace(clip.cameras, Ks=Ks))
     return clip, person
 
@@ -131,7 +128,9 @@ def main() -> None:
     options = parser.parse_args()
     body = Body.load(options.data / "body" / options.body)
     clip = BlurryClip.load(options.data / "blur" / options.scene)
-    truth = Truth.of(Reference.load(options.data / "clip" / options.scene / "reference"), clip)
+    observations = Observations.load(options.data / "preprocess" / options.scene / "blurred")
+    reference = Reference.load(options.data / "clip" / options.scene / "reference")
+    truth = Truth.of(observations, reference)
     true, person = posed(body, truth.poses).joints, detected(clip)
     rows: dict[str, Any] = {}
     for name, parts in FITS.items():

@@ -5,20 +5,27 @@ from dataclasses import replace
 import pytest
 import torch
 
-from benchmarks.gap_steps import Cell, rigid, shifts
+from benchmarks.gap_steps import Cell, placed, shifts
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from tests.randomness import seeded
 
 
-def test_a_rigid_move_keeps_sizes():
-    found = torch.randn(24, 3, generator=seeded()).double()
-    turn = axis_angle_to_matrix(torch.tensor([[0.3, -0.5, 0.2]]).double())[0]
-    there = 1.3 * found @ turn.T + torch.tensor([1.0, 2.0, 3.0])
-    moved = rigid(found, there)
-    torch.testing.assert_close(moved.turn, turn)
-    assert moved.scale == 1.0
-    torch.testing.assert_close(moved.applied(found).mean(0), there.mean(0))
+def test_a_rigid_move_keeps_sizes(body, swinging):
+    fitted = swinging(1, 30.0)
+    taller = torch.zeros_like(fitted.betas)
+    taller[0] = 2.0
+    there = replace(
+        fitted, betas=taller, global_orient=torch.tensor([[0.3, -0.5, 0.2]]),
+        transl=torch.tensor([[1.0, 2.0, 3.0]]),
+    )  # fmt: skip
+    moved = placed(body, fitted, there)
+    assert torch.equal(moved.betas, fitted.betas)
+    before, after, wanted = (posed(body, pose).joints[0] for pose in (fitted, moved, there))
+    torch.testing.assert_close(torch.cdist(after, after), torch.cdist(before, before))
+    torch.testing.assert_close(after.mean(0), wanted.mean(0))
+    again = placed(body, moved, replace(there, betas=fitted.betas))
+    torch.testing.assert_close(again.global_orient, there.global_orient, atol=1e-4, rtol=0)
 
 
 def test_a_picture_is_among_its_shifts_and_so_is_one_that_was_moved_by_a_pixel():
