@@ -7,7 +7,8 @@ kept on the way against sharp novel views (PSNR over the surface that the traini
 reference is what a run of 15,000 iterations without levels reaches with the same settings: it takes
 an hour, is run once by `--reference`, and stands in `--references FILE`, which a record is compared
 with. Seconds are of fitting alone, by the clock and of the processor; a record wants an idle
-machine. `--beside` adds what a second fit on the same cores costs.
+machine, and says of each row how busy it was. Rows that a record has of other sizes, methods and
+schedules stay in it. `--beside` adds what a second fit on the same cores costs.
 """
 
 import argparse
@@ -149,11 +150,22 @@ def psnr_seen(observations: Observations, reference: Reference, kept: Kept) -> f
     return value
 
 
-def row_of(method: str, size: int, folder: Path, references: Mapping[str, float]) -> dict[str, Any]:
-    """Fit one method at one size, and score it on the way."""
-    schedule = load_params(PARAMS, f"schedules.{SCHEDULES[size]}", ScheduleParams)
+def row_of(
+    method: str, size: int, folder: Path, references: Mapping[str, float], name: str
+) -> dict[str, Any]:
+    """Fit one method at one size, and score it on the way.
+
+    Args:
+        method: its name.
+        size: of pictures, pixels.
+        folder: where films are kept.
+        references: what a long run reaches, dB, by `<scene>-<size>-<method>`.
+        name: of the schedule.
+    """
+    schedule = load_params(PARAMS, f"schedules.{name}", ScheduleParams)
     moments = frozenset(round(schedule.fusion * (i + 1) / MOMENTS) for i in range(MOMENTS - 1))
     observations, reference = filmed(size, folder)
+    here = machine(0.0)
     kept = fitted(observations, method, schedule, moments)
     scores = [psnr_seen(observations, reference, one) for one in kept]
     wanted = references.get(f"{SCENE}-{size}-{method}")
@@ -167,6 +179,7 @@ def row_of(method: str, size: int, folder: Path, references: Mapping[str, float]
         "size": size,
         "gaussians": len(kept[-1].avatar.means),
         "method": method,
+        "schedule": name,
         "iterations": schedule.fusion,
         "seconds_to_within_0.2_db": good[0].seconds if good else None,
         "processor_seconds_to_within_0.2_db": good[0].processor_seconds if good else None,
@@ -175,6 +188,33 @@ def row_of(method: str, size: int, folder: Path, references: Mapping[str, float]
         "final_psnr_seen": scores[-1],
         "reference_psnr_seen": wanted,
         "curve": [[one.seconds, score] for one, score in zip(kept, scores, strict=True)],
+        "commit": here["commit"],
+        "load_before": here["load_before"],
+    }
+
+
+def with_rows(
+    known: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], beside: float | None
+) -> dict[str, Any]:
+    """A record with these rows in place of those of the same size, method and schedule, sorted.
+
+    Raises:
+        SystemExit: if what is known was measured on another machine.
+    """
+    here = machine(0.0)
+    before = known.get("machine", here)
+    for fact in ("cpu", "instructions", "cores", "threads", "gpu"):
+        if before[fact] != here[fact]:
+            raise SystemExit(
+                f"this machine's {fact} is {here[fact]}, the record's {before[fact]}: "
+                "give a file of its own, --json"
+            )
+    all_rows = [*known.get("rows", []), *rows]
+    latest = {(row["size"], row["method"], row["schedule"]): dict(row) for row in all_rows}
+    return {
+        "machine": here,
+        "rows": [row for _, row in sorted(latest.items())],
+        "beside_another": known.get("beside_another") if beside is None else beside,
     }
 
 
@@ -213,15 +253,20 @@ def main(arguments: argparse.Namespace) -> None:
                 references[f"{SCENE}-{size}-{method}"] = value
                 run.write_json(path, dict(sorted(references.items())))
         return
-    record: dict[str, Any] = {"machine": machine(0.0), "rows": [], "beside_another": None}
+    known = arguments.json and arguments.json.exists() and json.loads(arguments.json.read_text())
+    record = with_rows(known or {}, [], None)
     for size in arguments.sizes:
         for method in arguments.methods:
-            record["rows"].append(row_of(method, size, arguments.folder, references))
-            print(json.dumps(record["rows"][-1]), flush=True)
+            name = arguments.schedule or SCHEDULES[size]
+            row = row_of(method, size, arguments.folder, references, name)
+            record = with_rows(record, [row], None)
+            print(json.dumps(row), flush=True)
+            if arguments.json:
+                run.write_json(arguments.json, record)
     if arguments.beside:
-        record["beside_another"] = beside_another(arguments.folder)
-    if arguments.json:
-        run.write_json(arguments.json, record)
+        record = with_rows(record, [], beside_another(arguments.folder))
+        if arguments.json:
+            run.write_json(arguments.json, record)
     print(json.dumps(record, indent=1))
 
 
@@ -231,6 +276,7 @@ def _arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--sizes", type=int, nargs="+", choices=SCHEDULES, default=[192, 512])
     parser.add_argument("--methods", nargs="+", choices=AVATARS, default=["lean"])
     parser.add_argument("--reference", action="store_true", help="run 15,000 iterations instead")
+    parser.add_argument("--schedule", help="of params.yaml, instead of the size's own")
     parser.add_argument("--beside", action="store_true", help="measure two fits at once, too")
     parser.add_argument(
         "--references",

@@ -55,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--method", default="lean", help="a row of the tables (default: lean)")
     parser.add_argument(
         "--schedule", default="large",
-        help="short, medium: 192 pixels; large (default): 512; huge: 1024; full: the paper's",
+        help="short, medium: 192 pixels; large (default), fine (longer): 512; huge: 1024; "
+        "full: the paper's",
     )  # fmt: skip
     parser.add_argument(
         "--preview", action="store_true", help="show a first avatar early, while the rest is fitted"

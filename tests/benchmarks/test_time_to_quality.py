@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import time_to_quality as module
-from benchmarks.time_to_quality import Kept, fitted, row_of
+from benchmarks.time_to_quality import Kept, fitted, row_of, with_rows
 from deblur_avatar.training.schedule import ScheduleParams
 
 ROOT = Path(__file__).parents[2]
@@ -36,16 +36,18 @@ def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkey
     monkeypatch.setattr(module, "filmed", lambda size, folder: (filmed, None))
     monkeypatch.setattr(module, "fitted", lambda *_: moments)
     monkeypatch.setattr(module, "psnr_seen", lambda *_: next(scores))
-    row = row_of("lean", 512, Path(), {"studio-512-lean": 16.05})
+    row = row_of("lean", 512, Path(), {"studio-512-lean": 16.05}, "large")
     assert row["seconds_to_within_0.2_db"] == 2.0
     assert row["processor_seconds_to_within_0.2_db"] == 4.0
     assert row["curve"] == [[1.0, 15.0], [2.0, 15.9], [3.0, 16.2]]
     assert row["final_psnr_seen"] == 16.2
     scores = iter([15.0, 15.9, 16.2])
-    far = row_of("lean", 512, Path(), {"studio-512-lean": 18.0})
+    far = row_of("lean", 512, Path(), {"studio-512-lean": 18.0}, "large")
     assert far["seconds_to_within_0.2_db"] is None
     scores = iter([15.0, 15.9, 16.2])
-    unknown = row_of("lean", 512, Path(), {})
+    unknown = row_of("lean", 512, Path(), {}, "fine")
+    assert (far["schedule"], unknown["schedule"]) == ("large", "fine")
+    assert far["iterations"] < unknown["iterations"]
     assert (unknown["reference_psnr_seen"], unknown["seconds_to_within_0.2_db"]) == (None, None)
 
 
@@ -55,10 +57,28 @@ def test_sizes_have_schedules_of_their_height():
         assert schedule.image_height == size
 
 
+def test_new_rows_take_the_place_of_old_ones_of_the_same_size_and_method():
+    lean = {"size": 512, "method": "lean", "schedule": "large"}
+    paper, longer = {**lean, "size": 192, "method": "paper"}, {**lean, "schedule": "fine"}
+    record = with_rows({}, [lean | {"final": 1}, longer, paper], 1.2)
+    record = with_rows(record, [lean | {"final": 2}], None)
+    assert record["rows"] == [paper, longer, lean | {"final": 2}]
+    assert record["beside_another"] == 1.2
+    assert with_rows(record, [], 1.1)["beside_another"] == 1.1
+
+
+def test_rows_of_two_machines_never_stand_in_one_record():
+    record = with_rows({}, [], None)
+    record["machine"] = record["machine"] | {"cores": 1000}
+    with pytest.raises(SystemExit, match="cores is .*1000.*--json"):
+        with_rows(record, [], None)
+
+
 def test_a_record_names_its_machine_and_rows():
     for path in (ROOT / "benchmarks/results").glob("time_to_quality_*cores*.json"):
         record = json.loads(path.read_text())
         assert record["machine"]["cpu"]
         for row in record["rows"]:
             assert row["curve"]
+            assert len(row["load_before"]) == 3
             assert row["curve"][-1][1] == row["final_psnr_seen"]

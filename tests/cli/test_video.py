@@ -125,7 +125,7 @@ def test_a_repositorys_damaged_parameters_are_named(root, video, section):
         ({"method": "magic"}, "no method 'magic', there is"),
         (
             {"schedule": "eternal"},
-            "no schedule 'eternal', there is medium, short, large, huge",
+            "no schedule 'eternal', there is medium, short, large, fine, huge",
         ),
         ({"name": "../up"}, "a name is small letters"),
         ({"name": "2nd"}, "a name is small letters"),
