@@ -39,7 +39,7 @@ avatar: code
 check: code
 	$(BIN)/deblur-avatar check $(SCENE)
 
-# Every avatar with every motion on scenes that no setting was chosen on: experiments/proof/reports/index.html. Says
+# Every avatar with every motion on scenes that no setting was chosen on: reports/proof/index.html. Says
 # first what it will take; goes on where it was stopped. PARTS="grid windows" makes these alone, PLAN=1 says it and stops.
 proof: code
 	$(BIN)/deblur-avatar proof $(if $(PARTS),--parts $(PARTS)) $(if $(PLAN),--plan)

@@ -226,8 +226,9 @@ def _summary(plan: ProofParams, grids: Mapping[str, Grid]) -> dict[str, Any]:
 def _about(plan: ProofParams, found: Sequence[Found]) -> str:
     report = [scene for scene, of in plan.scenes.items() if of.kind == "report"]
     shown = len({one.cell.scene for one in found} & set(report) - _windowed(plan))
+    avatars, motions = ({getattr(one.cell, of) for one in found} for of in ("avatar", "motion"))
     return (
-        f"{len(plan.avatars)} avatars, {len(plan.columns)} motions, {len(found)} fits; "
+        f"{len(avatars)} avatars, {len(motions)} motions, {len(found)} fits; "
         f"{shown} report scenes, on which no setting was chosen and whose truth is not the "
         "fitter's own model. Recovery is the share of what blur costs an avatar that a motion wins "
         "back for it: (method \u2212 agnostic) / (oracle \u2212 agnostic), all of the same avatar."

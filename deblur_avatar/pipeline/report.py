@@ -64,6 +64,7 @@ DECLARED = {
     "train_s": ("cost", "train_s"),
 }
 MOMENT = {"stage", "iteration"}  # what each point of a learning curve has at least
+MEDIA = "media"  # folder of what a page shows, beside it
 SHEET_WIDTH = 900  # pixels of an animation's contact sheet on the page
 
 Results = dict[str, dict[str, Any]]  # by method
@@ -71,7 +72,7 @@ Results = dict[str, dict[str, Any]]  # by method
 
 @dataclass(frozen=True)
 class Report:
-    """What is written to `reports/`."""
+    """What is written to `reports/`; what a page shows lies in its `media`."""
 
     page: str
     summary: dict[str, Any]
@@ -79,12 +80,11 @@ class Report:
     charts: dict[str, bytes]  # files by name
     strip: Picture | None  # for the README
     avatars: dict[str, bytes]  # pages to turn by hand, files by name
-    self_check: dict[str, Any]  # the self-check's confusion table; empty if nobody made it
     log: str  # for a terminal
 
     def save(self, folder: Path) -> None:
-        """Write the page, the avatars' pages, `summary.json`, `metrics.json`, `table.md`,
-        `strip.png`, the charts, and `self_check.json` where there is one.
+        """Write the page, `summary.json`, `metrics.json`, `table.md`, and in `media` the avatars'
+        pages, the charts and `strip.png`.
 
         A chart is its rows (`.json`, for `dvc plots show`) and its picture (`.svg`, `.png`);
         without rows it is an empty list alone.
@@ -93,14 +93,15 @@ class Report:
             ArtifactError: if the disk refuses.
         """
         files = {"index.html": self.page.encode(), "table.md": self.tables.encode()}
-        for file, content in (files | self.charts | self.avatars).items():
+        media = {
+            f"{MEDIA}/{file}": content for file, content in (self.charts | self.avatars).items()
+        }
+        for file, content in (files | media).items():
             run.write_bytes(folder / file, content)
         run.write_json(folder / "summary.json", self.summary)
         run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
-        if self.self_check:
-            run.write_json(folder / "self_check.json", self.self_check)
         if self.strip is not None:
-            write_picture(folder / "strip.png", self.strip)
+            write_picture(folder / MEDIA / "strip.png", self.strip)
 
 
 def make_report(
@@ -139,6 +140,7 @@ def make_report(
         headline=_headline(scenes),
         failed=_failed_self_checks(metrics, runs),
         machine=_machine(scenes),
+        media=MEDIA,
         charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
         quiet=(NOT_MEASURED, NOT_KNOWN),
         repeated=repeated,
@@ -160,7 +162,6 @@ def make_report(
         charts=charts,
         strip=_readme_strip(strips),
         avatars={page.file: page.content for page in avatars.values()},
-        self_check=_read(metrics / "self_check" / "cases.json"),
         log=_log(main),
     )
 

@@ -18,6 +18,7 @@ from deblur_avatar.sweep.costs import Costs
 from deblur_avatar.sweep.tasks import Task
 
 LOCK = "dvc.lock"
+PAGE = "index.html"  # of a report: an output, or in a folder that is one
 
 
 class Pipelines:
@@ -83,7 +84,8 @@ class Pipelines:
     def pages(self) -> list[Path]:
         """The pages of reports that there are; pages of single items lie in the cache."""
         outs = (out for stage in self.stages for out in stage.outs if not out.use_cache)
-        pages = (Path(out.fs_path, "index.html") for out in outs)
+        places = (Path(out.fs_path) for out in outs)
+        pages = (path if path.name == PAGE else path / PAGE for path in places)
         return [page.relative_to(self.root.resolve()) for page in pages if page.is_file()]
 
     def locks(self) -> dict[Path, list[str]]:

@@ -68,6 +68,13 @@ def test_a_tuning_scene_is_called_one(report):
     assert "made once, run once with frozen settings" in report.page
 
 
+def test_the_head_counts_what_was_fitted_and_not_what_was_planned(report, metrics, tmp_path):
+    assert "2 avatars, " in report.page
+    for path in metrics.rglob("*plain-*"):
+        path.unlink()
+    assert "1 avatars, " in report_proof(small_plan(), metrics, tmp_path / "pictures").page
+
+
 def test_the_chart_has_a_curve_for_every_cell_of_a_scene_that_stands_alone(report):
     rows = json.loads(report.charts["quality_over_time.json"])
     curves = {(row["scene"], row["avatar"], row["motion"]) for row in rows}

@@ -148,7 +148,8 @@ def test_the_page_loads_nothing_from_anywhere(report):
     assert page.open == []
     assert page.addresses
     beside = {a for a in page.addresses if not a.startswith(("data:", "#"))}
-    assert beside == set(report.avatars) == {"studio-paper.html", "yard-paper.html"}
+    assert beside == {f"media/{page}" for page in report.avatars}
+    assert set(report.avatars) == {"studio-paper.html", "yard-paper.html"}
     text = re.sub(r"data:[^\"]+", "", report.page)
     outside = re.findall(r"(?:https?:)?//[^\s\"'<>)]+", text)
     assert set(outside) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
@@ -212,20 +213,21 @@ def test_the_page_shows_both_charts_and_what_snapshots_told(project):
     report = made(project)
     assert report.page.count("<svg") == 1
     report.save(project / "reports")
-    assert json.loads((project / "reports" / "quality_over_time.json").read_text()) == []
-    assert not (project / "reports" / "quality_over_time.svg").exists()
+    assert json.loads((project / "reports/media/quality_over_time.json").read_text()) == []
+    assert not (project / "reports/media/quality_over_time.svg").exists()
 
 
 def test_equal_results_give_equal_bytes(project):
     for name in ("a", "b"):
         made(project).save(project / name)
-    files = sorted(path.name for path in (project / "a").iterdir())
-    assert files == [
-        "index.html", "metrics.json",
+    files = sorted(p.relative_to(project / "a").as_posix() for p in (project / "a").rglob("*.*"))
+    media = [
         *(f"quality_over_time.{kind}" for kind in ("json", "png", "svg")),
         *(f"speed_accuracy.{kind}" for kind in ("json", "png", "svg")),
-        "strip.png", "studio-paper.html", "summary.json", "table.md", "yard-paper.html",
+        "strip.png", "studio-paper.html", "yard-paper.html",
     ]  # fmt: skip
+    beside = [f"media/{name}" for name in media]
+    assert files == ["index.html", *beside, "metrics.json", "summary.json", "table.md"]
     for name in files:
         assert (project / "a" / name).read_bytes() == (project / "b" / name).read_bytes(), name
 
@@ -381,7 +383,7 @@ def test_all_columns_are_cut_alike_to_the_person():
 
 def test_the_strip_of_the_readme_is_a_picture_of_all_columns(project):
     made(project).save(project / "reports")
-    picture = read_picture(project / "reports/strip.png")
+    picture = read_picture(project / "reports/media/strip.png")
     assert picture.shape[1] > 5 * 200
 
 
@@ -428,20 +430,11 @@ def test_no_picture_of_a_hidden_scene_leaves_the_machine(project, tmp_path):
     without = make_report(runs, list(runs), *folders, ("yard",), **exports)
     assert "may not be passed on" in without.page
     assert pictures(("studio", "yard")) == (0, 0)
-    assert not (tmp_path / "reports-studio-yard/strip.png").exists()
-    assert (tmp_path / "reports-yard/strip.png").exists()
-    assert (tmp_path / "reports/yard-paper.html").exists()
-    assert not list(tmp_path.glob("reports-*yard/yard-*.html"))
+    assert not (tmp_path / "reports-studio-yard/media/strip.png").exists()
+    assert (tmp_path / "reports-yard/media/strip.png").exists()
+    assert (tmp_path / "reports/media/yard-paper.html").exists()
+    assert not list(tmp_path.glob("reports-*yard/media/yard-*.html"))
     assert "yard-paper.html" not in without.page
-
-
-def test_the_confusion_table_is_among_the_results_where_somebody_made_it(project, tmp_path):
-    made(project).save(tmp_path / "without")
-    assert not (tmp_path / "without/self_check.json").exists()
-    cases = {"good": 2, "damaged": 1, "gross_misses": 0, "cases": []}
-    write_json(project / "metrics/self_check/cases.json", cases)
-    made(project).save(tmp_path / "with")
-    assert json.loads((tmp_path / "with/self_check.json").read_text()) == cases
 
 
 def test_few_cameras_are_shown_apart_and_many_are_not():
@@ -536,7 +529,7 @@ def test_a_damaged_learning_curve_is_named_with_what_to_do(project, points):
 def test_of_each_scene_the_best_method_that_has_a_page_can_be_turned(project):
     report = made(project)  # the oracle is better, and a bound
     assert report.avatars["yard-paper.html"] == b"<title>yard-paper</title>a page"
-    assert 'data-page="yard-paper.html"' in report.page
+    assert 'data-page="media/yard-paper.html"' in report.page
     assert "Turn the avatar of paper by hand" in report.page
     shutil.rmtree(project / "export/yard-paper")
     assert sorted(made(project).avatars) == ["studio-paper.html", "yard-agnostic.html"]

@@ -10,7 +10,7 @@ from tests.structure.pipeline_files import ROOT
 
 README, TABLE = ROOT / "README.md", ROOT / "reports" / "table.md"
 BEGIN, END = "<!-- results: copied by `make readme` -->", "<!-- end of results -->"
-HEADLINE = ROOT / "experiments" / "proof" / "reports" / "headline.md"
+HEADLINE = ROOT / "reports" / "proof" / "headline.md"
 PROOF_BEGIN, PROOF_END = "<!-- proof: copied by `make readme` -->", "<!-- end of proof -->"
 BLOCKS = ((TABLE, BEGIN, END), (HEADLINE, PROOF_BEGIN, PROOF_END))
 

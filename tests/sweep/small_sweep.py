@@ -61,11 +61,13 @@ stages:
     foreach: ${reports}
     do:
       cmd: >-
-        python -c "import pathlib; folder = pathlib.Path('${item}'); folder.mkdir();
-        (folder / 'index.html').write_text(str(sorted(pathlib.Path('metrics').rglob('*.json'))))"
+        python -c "import pathlib; proof = pathlib.Path('${item}/proof'); proof.mkdir(parents=True);
+        page = str(sorted(pathlib.Path('metrics').rglob('*.json')));
+        [(folder / 'index.html').write_text(page) for folder in (proof, proof.parent)]"
       deps: [metrics]
       outs:
-        - ${item}: {cache: false}
+        - ${item}/index.html: {cache: false}
+        - ${item}/proof: {cache: false}
 """
 PARAMS = """\
 from: {root: .}

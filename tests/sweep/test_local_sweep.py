@@ -39,7 +39,8 @@ def test_locks_and_artifacts_are_those_of_one_stage_after_the_other(project, ser
     done = swept(project, "dvc.yaml", MORE, "--at-once", "3")
     assert done.returncode == 0, done.stderr
     assert "14 of 14 tasks done" in done.stdout
-    assert "tables and charts: reports/index.html\n" in done.stdout
+    for page in ("reports/index.html", "reports/proof/index.html"):
+        assert f"tables and charts: {page}\n" in done.stdout
     assert results(project) == results(serial)
     again = swept_here(project, "dvc.yaml", MORE)
     assert "0 of 0 tasks done" in again.stdout
