@@ -53,7 +53,9 @@ def test_without_turns_sums_are_in_the_order_of_the_twins():
         with_gradients(covariance_factors_reference, inputs),
         strict=True,
     ):
-        torch.testing.assert_close(one, other, rtol=2e-7, atol=0)
+        # Bits are the processor's (torch's twin fuses products on some); where a sum cancels,
+        # another order stands out by far more than these five units of the last place.
+        torch.testing.assert_close(one, other, rtol=6e-7, atol=0)
 
 
 def test_covariances_are_upper_triangles_of_covariance_factors_times_their_transpose():
