@@ -89,7 +89,7 @@ def chart(record: Mapping[str, Any]) -> Figure:
         for row in rows:
             panel.annotate(
                 f"{row['processor_seconds']:.0f} s", (row["gaussians"], row[measure]),
-                textcoords="offset points", xytext=(0, -14), ha="center", fontsize=8,
+                textcoords="offset points", xytext=(7, -11), ha="left", fontsize=8,
             )  # fmt: skip
         panel.set(title=label, xlabel="Gaussians at the end", ylabel="PSNR, dB")
         panel.margins(0.15)
