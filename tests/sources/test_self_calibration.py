@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.sources.self_calibration import calibrate_focal
+from deblur_avatar.sources.self_calibration import _agreed, calibrate_focal
 
 WIDTH, HEIGHT, FOCAL, FRAMES = 320, 240, 380.0, 12
 
@@ -64,3 +64,15 @@ def test_a_still_camera_gives_no_answer():
     focal, how = calibrate_focal(*filmed(walks=False))
     assert focal is None
     assert "no way of the camera" in how or "not to be believed" in how
+
+
+def test_what_two_seeds_do_not_agree_on_is_no_answer():
+    near, far = (690.0, "self-calibrated: a"), (513.0, "self-calibrated: b")
+    assert _agreed([near, (700.0, "self-calibrated: c")]) == near
+    for order in ([near, far], [far, near]):
+        focal, why = _agreed(order)
+        assert focal is None
+        assert "does not agree with itself" in why
+        assert "690" in why
+        assert "513" in why
+    assert _agreed([near, (None, "no way")]) == (None, "no way")
