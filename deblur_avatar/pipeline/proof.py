@@ -5,7 +5,7 @@ null. Equal results give equal bytes.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ from deblur_avatar.reporting.proof_tables import (
     windows_table,
 )
 from deblur_avatar.reporting.results_table import Table, look_up, markdown, plain
+from deblur_avatar.reporting.stopping_table import stopping_table
 
 TEMPLATE = Path(__file__).parent / "proof.html.jinja"
 GRIDS = ("psnr_seen", "psnr", "flip")
@@ -89,7 +90,7 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
     whole = {scene: grids[scene] for scene in _in_order(plan) if scene in grids}
     overall = _overall(plan, whole)
     windows = _windows(plan, grids)
-    converged = _converged(plan, found)
+    converged, stopped = _converged(plan, found), _stopped(found, whole)
     curves = {scene: kept for scene in whole if (kept := _curves(found, scene))}
     quality = drawn(CHART, lambda: quality_chart(curves, QUALITY)) if curves else {}
     tables = {scene: _tables(scene, grid) for scene, grid in whole.items()}
@@ -110,10 +111,11 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
         ],
         windows=windows,
         converged=converged,
+        stopped=stopped,
         quality=quality[f"{CHART}.svg"].decode() if quality else "",
     )
     first = [] if overall is None else [grid_table(overall, MAIN, "Report scenes, mean")]
-    every = [*first, *(t for of in tables.values() for t in of), *windows, *converged]
+    every = [*first, *(t for of in tables.values() for t in of), *windows, *converged, *stopped]
     shown = [*first, *(tables[s][0] for s in whole if plan.scenes[s].kind == "report")]
     return ProofReport(
         page=page,
@@ -173,6 +175,11 @@ def _converged(plan: ProofParams, found: Sequence[Found]) -> list[Table]:
     ]
 
 
+def _stopped(found: Sequence[Found], scenes: Iterable[str]) -> list[Table]:
+    """What other rules of stopping would have made of the first seed of each scene's grid."""
+    return [stopping_table(of, scene) for scene in scenes if (of := _first_seed(found, scene))]
+
+
 def _tables(scene: str, grid: Grid) -> list[Table]:
     return [
         *(grid_table(grid, name, f"{scene}: {_title(name)}") for name in GRIDS),
@@ -187,13 +194,21 @@ def _title(name: str) -> str:
 
 def _curves(found: Sequence[Found], scene: str) -> dict[str, dict[str, list[tuple[float, float]]]]:
     """Seconds and quality of the snapshots of the first seed, in the scene's main schedule."""
-    schedule = schedules_of(found, scene)[0]
     curves: dict[str, dict[str, list[tuple[float, float]]]] = {}
-    for one in found:
-        cell = one.cell
-        if (cell.scene, cell.schedule) == (scene, schedule) and (curve := curve_of(one)):
-            curves.setdefault(cell.avatar, {}).setdefault(cell.motion, curve)
+    for one in _first_seed(found, scene):
+        if curve := curve_of(one):
+            curves.setdefault(one.cell.avatar, {}).setdefault(one.cell.motion, curve)
     return curves
+
+
+def _first_seed(found: Sequence[Found], scene: str) -> list[Found]:
+    """The scene's cells in its main schedule, each in the first seed that has a curve."""
+    schedule = schedules_of(found, scene)[0]
+    first: dict[tuple[str, str], Found] = {}
+    for one in found:
+        if (one.cell.scene, one.cell.schedule) == (scene, schedule) and curve_of(one):
+            first.setdefault((one.cell.avatar, one.cell.motion), one)
+    return list(first.values())
 
 
 def _rows(curves: Mapping[str, Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]]) -> bytes:
