@@ -1,8 +1,9 @@
 """Footage of one camera: pictures and timestamps, from a video file or a folder.
 
 Conventions. Frames are numbered from 0 as the file holds them (a folder: in the natural order of
-its names). What is kept are new frames only: one that repeats its predecessor was put in by a
-player or an editor and was never taken. Gaps, where frames were dropped, stay in the timestamps.
+its names). What is kept is one recording, the longest, and of it new frames only: one that repeats
+its predecessor was put in by a player or an editor and was never taken. Gaps, where frames were
+dropped, stay in the timestamps.
 """
 
 import logging
@@ -23,6 +24,7 @@ from deblur_avatar.sources.footage_damage import (
     light_drift,
     repeated_frames,
 )
+from deblur_avatar.sources.shots import longest_shot, shot_starts
 from deblur_avatar.sources.video_files import read_video, shrunk
 
 logger = logging.getLogger(__name__)
@@ -76,7 +78,7 @@ def read_footage(
         read = Footage(video.frames, video.timestamps, numbers, video.total, video.recorded_size)
     else:
         raise ConfigError(f"clip.path: no video and no folder {path}; name the footage to be read")
-    return _new_frames(read, path)
+    return _new_frames(_one_shot(read, path), path)
 
 
 def files_in_order(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
@@ -117,6 +119,30 @@ def _read_folder(
         numbers=tuple(chosen),
         total=len(files),
         recorded_size=size or (0, 0),
+    )
+
+
+def _one_shot(read: Footage, path: Path) -> Footage:
+    """Keep the longest recording of edited footage, and say which one that is."""
+    starts = shot_starts(read.frames)
+    if len(starts) == 1:
+        return read
+    first, stop = longest_shot(starts, len(read.frames))
+    logger.warning(
+        "%s: %d shots, cut before frames %s; taken is the longest, frames %d to %d. Set "
+        "clip.frames for another",
+        path,
+        len(starts),
+        [read.numbers[index] for index in starts[1:21]],
+        read.numbers[first],
+        read.numbers[stop - 1],
+    )
+    return Footage(
+        frames=read.frames[first:stop],
+        timestamps=read.timestamps[first:stop],
+        numbers=read.numbers[first:stop],
+        total=read.total,
+        recorded_size=read.recorded_size,
     )
 
 

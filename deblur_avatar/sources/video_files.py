@@ -1,7 +1,7 @@
 """Video decoding: a file as frames and timestamps.
 
-Conventions. Frames are upright (the container's rotation is applied) 8-bit RGB; timestamps are the
-container's, in seconds.
+Conventions. Frames are upright (the container's rotation is applied) 8-bit sRGB of square pixels;
+timestamps are the container's, in seconds.
 """
 
 import contextlib
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.readers.picture_codec import MAX_PIXELS
+from deblur_avatar.sources.video_pictures import decoded
 
 NO_OTHER_FILES = {"protocol_whitelist": "none"}
 
@@ -94,14 +95,11 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
                 )
             stream.thread_type = "AUTO"
             stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
-            for index, frame in enumerate(container.decode(stream)):
-                image = frame.to_ndarray(format="rgb24")
-                # PyAV: the angle by which the frame is to be turned anticlockwise.
-                upright = np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90) % 4))
+            for index, (frame, image) in enumerate(decoded(container, stream, str(path))):
                 seconds = frame.time
                 if seconds is None:
                     seconds = index / float(stream.average_rate or 1)
-                yield upright, seconds
+                yield image, seconds
     except (FFmpegError, OSError, ValueError) as error:
         if isinstance(error, ArtifactError):
             raise
