@@ -91,6 +91,8 @@ def grid_of(found: Sequence[Found], scene: str, schedule: str) -> Grid:
 def pooled_grid(grids: Sequence[Grid]) -> Grid:
     """The mean over scenes of cells that all of them have; its scatter is over scenes.
 
+    An avatar without such a cell has no row.
+
     Recovery is that of the means, not the mean of recoveries, which a scene with little blur would
     rule.
     """
@@ -98,6 +100,8 @@ def pooled_grid(grids: Sequence[Grid]) -> Grid:
     for avatar in dict.fromkeys(avatar for grid in grids for avatar in grid):
         rows = [grid.get(avatar, {}) for grid in grids]
         common = [motion for motion in rows[0] if all(motion in row for row in rows)]
+        if not common:
+            continue
         means = compared({m: averaged([row[m].mean for row in rows]) for m in common})
         pooled[avatar] = {
             motion: Entry(

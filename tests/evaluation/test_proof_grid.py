@@ -5,6 +5,7 @@ import pytest
 from deblur_avatar.config.proof import Cell, cells_of
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.proof_grid import (
+    Entry,
     grid_of,
     numbers_of,
     pooled_grid,
@@ -118,3 +119,12 @@ def test_the_mean_over_scenes_is_of_cells_that_all_have_and_recovery_is_its_own(
     assert clip.mean["recovery"]["psnr_seen"] == pytest.approx(0.4)
     del grids[1]["plain"]["clip"]
     assert list(pooled_grid(grids)["plain"]) == ["agnostic", "oracle"]
+
+
+def test_an_avatar_without_a_cell_on_every_scene_has_no_row_in_the_mean():
+    entry = Entry((0,), {"image": {"psnr_seen": 16.0}}, {})
+    grids = [
+        {"plain": {"agnostic": entry}, "gart": {"clip": entry}},
+        {"plain": {"agnostic": entry}},
+    ]
+    assert list(pooled_grid(grids)) == ["plain"]
