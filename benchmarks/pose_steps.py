@@ -4,7 +4,8 @@
 
 detects the person in the film of a scene of `source: street` and fits the body several times, each
 time with other parts of what the fit is given replaced by the truth: focal length, mattes,
-landmarks in the picture, the detector's guess of their depth. Prints JSON: the errors of joints
+landmarks in the picture, the detector's guess of their depth; and once with nothing true and
+MediaPipe's smaller pose model. Prints JSON: the errors of joints
 of each fit, as in `metrics/<scene>/<method>.json` (`steps.poses`), so that it can be seen which
 step loses how much. Needs `dvc repro preprocess@<scene>`; 3 minutes, no avatar.
 """
@@ -12,6 +13,7 @@ step loses how much. Needs `dvc repro preprocess@<scene>`; 3 minutes, no avatar.
 import argparse
 import json
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from deblur_avatar.body_estimation.body_landmarks import landmark_map
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
 from deblur_avatar.body_estimation.monocular_prior import HIPS
 from deblur_avatar.body_estimation.person_choice import detect_main_person
+from deblur_avatar.body_estimation.pose_model import PoseModel
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.comparisons import true_poses
 from deblur_avatar.evaluation.estimated_steps import joint_errors
@@ -37,6 +40,7 @@ from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import background_of
 from deblur_avatar.imaging.matting import trim_mattes
 
+SMALLER = "as estimated, smaller pose model"
 FITS = {
     "as estimated": (),
     "true focal length": ("focal",),
@@ -69,10 +73,10 @@ class Truth:
         return cls(poses, reference.filmed.focal, reference.filmed.mattes)
 
 
-def detected(clip: BlurryClip) -> Landmarks:
+def detected(clip: BlurryClip, model: PoseModel) -> Landmarks:
     """The person as `preprocess` finds her, mattes trimmed where the background is known."""
     frames = clip.frames[0]
-    person, _ = detect_main_person(frames, detect_with_mediapipe)
+    person, _ = detect_main_person(frames, partial(detect_with_mediapipe, model=model))
     background = background_of("auto", frames, person.mattes)
     if background.plates is None:
         return person
@@ -131,8 +135,8 @@ def main() -> None:
     observations = Observations.load(options.data / "preprocess" / options.scene / "blurred")
     reference = Reference.load(options.data / "clip" / options.scene / "reference")
     truth = Truth.of(observations, reference)
-    true, person = posed(body, truth.poses).joints, detected(clip)
-    rows: dict[str, Any] = {}
+    true, person = posed(body, truth.poses).joints, detected(clip, "heavy")
+    rows: dict[str, Any] = {SMALLER: errors(clip, body, detected(clip, "full"), true)}
     for name, parts in FITS.items():
         given, seen = with_truth(clip, body, person, truth, parts)
         rows[name] = errors(given, body, seen, true)

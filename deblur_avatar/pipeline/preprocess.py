@@ -29,6 +29,7 @@ from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
 from deblur_avatar.body_estimation.occluded_surface import occluded_fraction
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.person_crops import person_crops
+from deblur_avatar.body_estimation.pose_model import PoseModel
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.config.section import NonNegative, Params, Positive
@@ -42,7 +43,8 @@ from deblur_avatar.imaging.matting import (
     scenery,
     trim_mattes,
 )
-from deblur_avatar.imaging.resampling import Crop, crop_and_scale, undistort
+from deblur_avatar.imaging.resampling import Crop, crop_and_scale
+from deblur_avatar.imaging.straightening import straightened
 
 
 class PreprocessParams(Params):
@@ -110,7 +112,7 @@ def preprocess(
     Raises:
         ArtifactError: if given poses or masks are missing, or no frame shows a person.
     """
-    clip = _straightened(clip)
+    clip = straightened(clip)
     row = clip.recorded.index(clip.train_camera)
     people, kind = cast(list[Landmarks], []), params.background
     if params.masks != "given" or params.poses == "estimated":
@@ -118,6 +120,11 @@ def preprocess(
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
+    if track.model == "full":
+        logger.warning(
+            "poses come from the smaller pose model and are about a third farther off than need "
+            "be; `deblur-avatar setup`, with npm on the path, brings the larger one"
+        )
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
     crops, cameras = person_crops(clip.cameras, body, track.poses, params.margin, image_height)
     background = background_of(kind, clip.frames[row], mattes)
@@ -181,6 +188,7 @@ class _Track:
     weights: Float[Tensor, " F"]
     fit: dict[str, Any]
     flags: dict[str, int]
+    model: PoseModel | None  # that found the landmarks; None where poses were given
 
 
 def _observations(
@@ -226,11 +234,12 @@ def _track(
 ) -> _Track:
     """The poses that came with the clip, or a body fitted to what detectors found."""
     if params.poses == "given":
-        return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {})
+        return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None)
     fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
     stacks = [person.mattes for person in people]
     fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
-    return _Track(fitted.poses, shown.float() * fitted.trust, fit, fitted.flags)
+    trusted = shown.float() * fitted.trust
+    return _Track(fitted.poses, trusted, fit, fitted.flags, people[0].model)
 
 
 def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) -> dict[str, Any]:
@@ -253,36 +262,11 @@ def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) ->
             "validation": len(blurred.validation),
         },
         "hidden": blurred.occluded_fraction,
+        "pose_model": track.model,
         "fit": track.fit,
         "landmarks_found_wrong": track.flags,
         "track": smoothness,
     }
-
-
-def _straightened(clip: BlurryClip) -> BlurryClip:
-    """Take lens distortion out of everything; without distortion the very clip."""
-    cameras = clip.cameras
-    if not cameras.distortion.any():
-        return clip
-
-    def straight(images: Tensor, camera: int) -> Tensor:
-        return undistort(images, cameras.Ks[camera], cameras.distortion[camera])
-
-    def all_straight(stacks: Tensor) -> Tensor:
-        rows = zip(stacks, clip.recorded, strict=True)
-        return torch.stack([straight(stack, camera) for stack, camera in rows])
-
-    def train_straight(images: Tensor | None) -> Tensor | None:
-        return None if images is None else straight(images, clip.train_camera)
-
-    return replace(
-        clip,
-        frames=all_straight(clip.frames),
-        mattes=None if clip.mattes is None else all_straight(clip.mattes),
-        sharp_frames=train_straight(clip.sharp_frames),
-        sharp_mattes=train_straight(clip.sharp_mattes),
-        cameras=replace(cameras, distortion=torch.zeros_like(cameras.distortion)),
-    )
 
 
 def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) -> list[Landmarks]:

@@ -6,21 +6,27 @@ import pytest
 import torch
 from skimage.data import astronaut
 
+from deblur_avatar.body_estimation import landmarks
 from deblur_avatar.body_estimation.landmarks import (
     COUNT,
     Landmarks,
     detect_with_mediapipe,
 )
+from deblur_avatar.body_estimation.pose_model import installed_model
 
 NOSE, LEFT_SHOULDER, RIGHT_SHOULDER = 0, 11, 12
 
 
 @pytest.fixture(scope="module")
-def detected() -> Landmarks:
+def frames() -> torch.Tensor:
     """A portrait, an empty picture, and the portrait again."""
-    pytest.importorskip("mediapipe", reason="mediapipe is not installed")
     portrait = np.ascontiguousarray(astronaut()[::2, ::2])
-    frames = torch.from_numpy(np.stack([portrait, np.zeros_like(portrait), portrait]))
+    return torch.from_numpy(np.stack([portrait, np.zeros_like(portrait), portrait]))
+
+
+@pytest.fixture(scope="module")
+def detected(frames) -> Landmarks:
+    pytest.importorskip("mediapipe", reason="mediapipe is not installed")
     return detect_with_mediapipe(frames)
 
 
@@ -42,6 +48,24 @@ def test_a_frame_without_a_person_is_flagged_and_empty(detected: Landmarks):
     assert detected.mattes[1].max() == 0
     assert detected.points[1].abs().max() == 0
     assert detected.visibility[1].max() == 0
+
+
+def test_the_largest_model_that_is_installed_is_taken(detected, frames, monkeypatch):
+    assert detected.model == installed_model()
+    monkeypatch.setattr(landmarks, "installed_model", lambda: "full")
+    smaller = detect_with_mediapipe(frames[:1])
+    assert smaller.model == "full"
+    assert smaller.world is not None
+
+
+def test_the_two_models_see_the_same_person_with_other_eyes(frames):
+    pytest.importorskip("mediapipe", reason="mediapipe is not installed")
+    if installed_model() != "heavy":
+        pytest.skip("the heavy pose model is not installed: deblur-avatar setup, with npm")
+    heavy, full = (detect_with_mediapipe(frames[:1], model) for model in ("heavy", "full"))
+    assert (heavy.model, full.model) == ("heavy", "full")
+    apart = (heavy.points - full.points)[0, [NOSE, LEFT_SHOULDER, RIGHT_SHOULDER]].norm(dim=-1)
+    assert 0 < apart.max() < 12  # pixels
 
 
 def test_the_library_is_kept_quiet_and_standard_error_comes_back(capfd: pytest.CaptureFixture[str]):

@@ -1,27 +1,49 @@
+import hashlib
+import io
 import logging
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
 
+from deblur_avatar.body_estimation import pose_model
 from deblur_avatar.cli import setup
 from deblur_avatar.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture
-def pip(monkeypatch):
-    """Stands in for every process that is started."""
-    calls, codes = [], {"pip": 0, "-c": 0}
+WEIGHTS = b"weights of a pose model"
 
-    def run(command, **_):
+
+@pytest.fixture
+def weights(monkeypatch, tmp_path):
+    """Where the heavy pose model belongs, in an environment that lacks it."""
+    file = tmp_path / "pose_landmark_heavy.tflite"
+    monkeypatch.setattr(pose_model, "heavy_file", lambda: file)
+    monkeypatch.setattr(pose_model, "HEAVY_SHA256", hashlib.sha256(WEIGHTS).hexdigest())
+    return file
+
+
+@pytest.fixture
+def pip(monkeypatch, weights):
+    """Stands in for every process that is started; npm packs `WEIGHTS`."""
+    calls, codes = [], {"pip": 0, "-c": 0, "npm": 0}
+
+    def run(command, cwd=None, **_):
         calls.append(command[1:])
-        kind = "-c" if command[1] == "-c" else "pip"
+        kind = "npm" if "npm" in command[0] else "-c" if command[1] == "-c" else "pip"
+        if kind == "npm" and codes["npm"] == 0:
+            with tarfile.open(Path(cwd) / "pose.tgz", "w:gz") as archive:
+                member = tarfile.TarInfo(setup.HEAVY_MEMBER)
+                member.size = len(WEIGHTS)
+                archive.addfile(member, io.BytesIO(WEIGHTS))
         return subprocess.CompletedProcess(command, codes[kind], "", "ImportError: no anny")
 
     monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(setup.shutil, "which", lambda name: f"/somewhere/{name}")
     monkeypatch.setattr(setup, "find_compiler", lambda: ["c++"])
     return calls, codes
 
@@ -30,7 +52,7 @@ def test_two_packages_are_installed_without_their_dependencies_and_proved(pip, c
     with caplog.at_level(logging.INFO):
         assert main(["setup"]) == 0
     wanted = ["-m", "pip", "install", "--no-deps", "mediapipe==0.10.21", "anny==0.6.2"]
-    assert pip[0] == [wanted, ["-c", setup.PROOF]]
+    assert pip[0][:2] == [wanted, ["-c", setup.PROOF]]
     assert " ".join(wanted) in caplog.text
 
 
@@ -38,6 +60,7 @@ def test_a_dry_run_says_it_and_does_nothing(pip, caplog):
     with caplog.at_level(logging.INFO):
         assert main(["setup", "--dry-run"]) == 0
     assert "--no-deps mediapipe==0.10.21 anny==0.6.2" in caplog.text
+    assert "npm pack --silent @mediapipe/pose@0.5.1675469404" in caplog.text
     assert pip[0] == []
 
 
@@ -59,3 +82,50 @@ def test_an_environment_without_pip_is_told_what_to_install(pip, monkeypatch, ca
 def test_the_versions_are_those_that_were_tested_together():
     tested = (ROOT / "constraints.txt").read_text().splitlines()
     assert set(setup.ALONE.values()) <= set(tested)
+
+
+def test_npm_brings_the_heavy_pose_model_once(pip, weights):
+    assert main(["setup"]) == 0
+    packed = ["pack", "--silent", "@mediapipe/pose@0.5.1675469404"]
+    assert packed in pip[0]
+    assert weights.read_bytes() == WEIGHTS
+    pip[0].clear()
+    assert main(["setup"]) == 0
+    assert packed not in pip[0]
+
+
+@pytest.mark.parametrize("broken", ["no npm", "npm fails"])
+def test_without_npm_all_else_is_installed_and_the_loss_is_told(
+    pip, weights, monkeypatch, caplog, broken
+):
+    if broken == "no npm":
+        monkeypatch.setattr(setup.shutil, "which", lambda name: None)
+    pip[1]["npm"] = 1
+    with caplog.at_level(logging.INFO):
+        assert main(["setup"]) == 0
+    assert not weights.exists()
+    assert "about a third farther off" in caplog.text
+    assert "--pose-model" in caplog.text
+    assert "All is installed" in caplog.text
+
+
+def test_weights_can_be_brought_along(pip, weights, tmp_path):
+    mine = tmp_path / "mine.tflite"
+    mine.write_bytes(WEIGHTS)
+    assert main(["setup", "--pose-model", str(mine)]) == 0
+    assert weights.read_bytes() == WEIGHTS
+    assert not any("pack" in call for call in pip[0])
+
+
+def test_weights_that_are_not_there_are_told_before_anything_is_installed(pip, capsys):
+    assert main(["setup", "--pose-model", "no.tflite"]) == 1
+    assert "--pose-model: no file no.tflite" in capsys.readouterr().err
+    assert pip[0] == []
+
+
+def test_other_weights_are_refused(pip, weights, tmp_path, capsys):
+    mine = tmp_path / "mine.tflite"
+    mine.write_bytes(b"another model")
+    assert main(["setup", "--pose-model", str(mine)]) == 1
+    assert "mine.tflite: not the weights" in capsys.readouterr().err
+    assert not weights.exists()

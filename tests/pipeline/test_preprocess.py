@@ -331,6 +331,23 @@ def test_one_view_is_enough_and_says_how_its_track_moves(
     assert set(made.metrics["track"]["by_joint"]) == set(body.joint_names)
 
 
+@pytest.mark.parametrize("model", ["heavy", "full"])
+def test_poses_say_which_pose_model_they_come_from(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch, caplog, model
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 2)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
+    person = dataclasses.replace(people[TRAIN], model=model)
+    made = run(of_one_camera(clip), body, OneCamera(person), poses="estimated", masks="estimated")
+    assert made.metrics["pose_model"] == model
+    assert ("the smaller pose model" in caplog.text) == (model == "full")
+    assert ("deblur-avatar setup" in caplog.text) == (model == "full")
+
+
+def test_given_poses_come_from_no_pose_model(clip: BlurryClip, body: Body):
+    assert run(clip, body).metrics["pose_model"] is None
+
+
 def test_keypoints_and_masks_of_the_user_s_own_are_preferred(
     clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch: pytest.MonkeyPatch
 ):
