@@ -1,21 +1,14 @@
-import hashlib
-
 import pytest
 
 from deblur_avatar.body_estimation import pose_model
 from deblur_avatar.body_estimation.pose_model import heavy_file, install_heavy, installed_model
 from deblur_avatar.errors import ArtifactError
-
-WEIGHTS = b"weights of a pose model"
+from tests.missing_pose_model import WEIGHTS, without_heavy_model
 
 
 @pytest.fixture
 def place(monkeypatch, tmp_path):
-    """An environment's place for the weights, empty; `WEIGHTS` are the right ones."""
-    file = tmp_path / "pose_landmark_heavy.tflite"
-    monkeypatch.setattr(pose_model, "heavy_file", lambda: file)
-    monkeypatch.setattr(pose_model, "HEAVY_SHA256", hashlib.sha256(WEIGHTS).hexdigest())
-    return file
+    return without_heavy_model(monkeypatch, tmp_path)
 
 
 def test_the_place_is_where_mediapipe_looks():

@@ -1,4 +1,3 @@
-import hashlib
 import io
 import logging
 import subprocess
@@ -8,23 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from deblur_avatar.body_estimation import pose_model
 from deblur_avatar.cli import setup
 from deblur_avatar.cli.main import main
+from tests.missing_pose_model import WEIGHTS, without_heavy_model
 
 ROOT = Path(__file__).parents[2]
 
 
-WEIGHTS = b"weights of a pose model"
-
-
 @pytest.fixture
 def weights(monkeypatch, tmp_path):
-    """Where the heavy pose model belongs, in an environment that lacks it."""
-    file = tmp_path / "pose_landmark_heavy.tflite"
-    monkeypatch.setattr(pose_model, "heavy_file", lambda: file)
-    monkeypatch.setattr(pose_model, "HEAVY_SHA256", hashlib.sha256(WEIGHTS).hexdigest())
-    return file
+    return without_heavy_model(monkeypatch, tmp_path)
 
 
 @pytest.fixture
