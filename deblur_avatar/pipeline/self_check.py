@@ -22,6 +22,7 @@ from deblur_avatar.evaluation.avatar_measures import (
     filmed_looks,
     outside_share,
     parts_inside,
+    parts_open,
     turntable,
 )
 from deblur_avatar.evaluation.findings import Scale, judged, worst
@@ -56,6 +57,11 @@ _SCALES = {
         "A limb lies where the masks show nobody, so its motion cannot be believed: bring "
         "keypoints of a better detector, or poses.",
     ),
+    "worst_part_open": Scale(
+        0.1, 0.5, "share of the part",
+        "A limb or the head is torn: one sees through it. Its motion or its masks are wrong, or no "
+        "frame shows enough of it: look at check.png, let the person turn.",
+    ),
     "seen_share": Scale(
         0.5, None, "share of the surface",
         "The rest was never seen by the camera and is made up: let the person turn.",
@@ -84,8 +90,8 @@ def self_check(
         device: to render on.
 
     Returns:
-        As `content`: the worst `verdict`, the `findings` by name, and `parts`: the share of each
-        limb that the masks confirm.
+        As `content`: the worst `verdict`, the `findings` by name, `parts`: the share of each limb
+        that the masks confirm, and `open`: of each that one sees through.
     """
     model = avatar_from_artifact(avatar, observations.body, device)
     trained = evenly_spaced(observations.train, FRAMES)
@@ -94,6 +100,8 @@ def self_check(
     explained = filmed_looks(model, observations, motion, aside)
     sides = turntable(model, observations, motion)
     parts = parts_inside(observations, motion, trained)
+    middle = observations.train[len(observations.train) // 2]
+    torn = parts_open(model, motion, middle)
     values = {
         "outside_filmed": outside_share(filmed),
         "outside_turntable": outside_share(sides),
@@ -101,6 +109,7 @@ def self_check(
         "coverage_iou": coverage_iou(observations, filmed, trained),
         "explained_share": explained_share(observations, explained, aside),
         "worst_part_inside": min(parts.values(), default=None),
+        "worst_part_open": max(torn.values(), default=None),
         "seen_share": 1 - observations.occluded_fraction,
     }
     findings = {name: judged(_SCALES[name], value) for name, value in values.items()}
@@ -108,5 +117,6 @@ def self_check(
         "verdict": worst(finding.verdict for finding in findings.values()),
         "findings": {name: vars(finding) for name, finding in findings.items()},
         "parts": parts,
+        "open": torn,
     }
     return SelfCheck(content, dict(zip(trained, filmed, strict=True)), sides)

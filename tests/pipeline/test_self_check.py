@@ -69,6 +69,29 @@ def test_an_arm_that_moves_as_nobody_did_fails(filmed, avatar, motion, body):
     assert failed(filmed, avatar, wrong) == {"worst_part_inside"}
 
 
+def test_a_limb_in_pieces_warns_and_one_that_is_gone_fails(filmed, avatar, motion, body):
+    own = avatar.weights_at(avatar.gaussians.means).argmax(1)
+    forearm = own == body.joint_names.index("left_elbow")
+    pieces = torch.sin(60 * avatar.gaussians.means[:, 0]) > -0.5  # along the arm: two of three gone
+    for gone, verdict in ((forearm & pieces, "warn"), (forearm, "fail")):
+        with torch.no_grad():
+            avatar.gaussians.opacity_logits[gone] = -30.0
+        content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
+        assert content["findings"]["worst_part_open"]["verdict"] == verdict
+        assert max(content["open"], key=content["open"].get) == "left_elbow"
+        assert sorted(content["open"].values())[-2] < 0.1
+
+
+def test_hands_that_are_lost_are_not_torn(filmed, avatar, motion, body):
+    own = avatar.weights_at(avatar.gaussians.means).argmax(1)
+    hands = [body.joint_names.index(f"{side}_{joint}") for side in ("left", "right")
+             for joint in ("wrist", "hand")]  # fmt: skip
+    with torch.no_grad():
+        avatar.gaussians.opacity_logits[torch.isin(own, torch.tensor(hands))] = -30.0
+    content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
+    assert content["findings"]["worst_part_open"]["verdict"] == "ok"
+
+
 def test_the_page_names_what_failed_and_loads_nothing(filmed, avatar, motion):
     with torch.no_grad():
         avatar.gaussians.features.neg_()

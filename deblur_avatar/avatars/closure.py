@@ -1,0 +1,84 @@
+"""Closed surface: no view from any side goes through the body.
+
+A camera that never walks round a person leaves the seam between what it sees and what it does not
+to nobody: its pixels beyond the silhouette take light away there, and no pixel asks for it back.
+From the side the seam is a gap through head, trunk and limbs. Here the canonical avatar is looked
+at from all sides; well inside the body's silhouette it has to cover what is behind it.
+
+Conventions. World of the canonical pose, metres.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt, maximum_filter
+from torch import Tensor
+
+from deblur_avatar.geometry.cameras import Camera, look_at
+from deblur_avatar.rendering.mesh_rendering import triangles_seen
+
+# Not parameters: how the loss is sampled, and its weight was chosen with them.
+VIEWS = 24  # directions, evenly over the sphere
+STRIDE = 7  # from one to the next in order; coprime to their number
+SIZE = 192  # pixels of a view
+DISTANCE = 2.0  # of a camera from the body's middle, in the body's diameters
+# How deep inside the silhouette nothing may be seen through, as a share of how deep it gets within
+# `NEAR` metres: a person may be that much thinner than the body that was fitted to her.
+INSIDE = 0.5
+NEAR = 0.06
+COVERED = 0.8  # alpha from where on a pixel is closed
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
+
+
+@dataclass(frozen=True, eq=False)
+class ClosureView:
+    """One look at the canonical body, and the pixels that lie well inside it."""
+
+    camera: Camera
+    inside: Bool[Tensor, "H W"]
+    triangles: Int[Tensor, "H W"]  # that are seen; -1 beside the body
+
+    def open_share(self, alpha: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
+        """By how much coverage well inside the body falls short of `COVERED`, mean."""
+        return (COVERED - alpha[self.inside]).relu().mean()
+
+
+def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> list[ClosureView]:
+    """Views of a body from `VIEWS` directions of a Fibonacci sphere; neighbours in order are apart.
+
+    Args:
+        vertices: of the canonical body, its up along +Y.
+        faces: triangles.
+    """
+    low, high = vertices.min(0).values, vertices.max(0).values
+    middle, diameter = (low + high) / 2, float((high - low).norm())
+    focal, centre = SIZE * DISTANCE, SIZE / 2
+    K = vertices.new_tensor([[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]])
+    up = vertices.new_tensor([0.0, 1.0, 0.0])
+    reach = round(NEAR * SIZE / diameter)  # pixels
+    mesh = vertices.cpu().numpy(), faces.cpu().numpy()
+    views = []
+    for step in range(VIEWS):
+        eye = middle + DISTANCE * diameter * vertices.new_tensor(_direction(step * STRIDE % VIEWS))
+        camera = Camera(K, look_at(eye, middle, up), SIZE, SIZE)
+        triangles = triangles_seen(*mesh, camera)
+        depth = distance_transform_edt(triangles >= 0)  # pixels
+        deepest = maximum_filter(depth, 2 * reach + 1)
+        inside = (depth > 1) & (depth > INSIDE * deepest)
+        views.append(
+            ClosureView(
+                camera,
+                torch.from_numpy(inside).to(vertices.device),
+                torch.from_numpy(triangles).to(vertices.device),
+            )
+        )
+    return views
+
+
+def _direction(index: int) -> list[float]:
+    """A unit vector of the Fibonacci sphere, from its top to its bottom; never quite along +-Y."""
+    height = 1 - (2 * index + 1) / VIEWS
+    radius, angle = math.sqrt(1 - height**2), GOLDEN_ANGLE * index
+    return [radius * math.cos(angle), height, radius * math.sin(angle)]

@@ -1,0 +1,117 @@
+import pytest
+import torch
+from scipy.ndimage import distance_transform_edt
+
+from deblur_avatar.avatars.avatar import TrainingStep
+from deblur_avatar.avatars.closure import COVERED, INSIDE, VIEWS, closure_views
+from deblur_avatar.avatars.plain_avatar import HALF_SEEN, LOOKS_EVERY
+from deblur_avatar.geometry.cameras import camera_centres
+
+pytestmark = pytest.mark.portable
+
+
+@pytest.fixture
+def views(avatar):
+    return closure_views(avatar.canonical_vertices, avatar.body.faces)
+
+
+@pytest.fixture
+def step(plain_recipe):
+    return lambda iteration: TrainingStep(
+        iteration, 1.0, plain_recipe.fitting, torch.Generator().manual_seed(0)
+    )
+
+
+def open_share(avatar, step):
+    return avatar.regularisers(None, step)["closed"]()
+
+
+def holed(avatar, joint):
+    """Without the Gaussians of one joint's surface."""
+    weights = avatar.weights_at(avatar.gaussians.means)
+    own = weights.argmax(1) == avatar.body.joint_names.index(joint)
+    assert own.any()
+    with torch.no_grad():
+        avatar.gaussians.opacity_logits[own] = -30.0
+    return avatar
+
+
+def test_views_come_from_all_sides_and_see_the_whole_body(avatar, views):
+    middle = avatar.canonical_vertices.aminmax(dim=0)
+    middle = (middle.min + middle.max) / 2
+    towards = torch.stack([camera_centres(view.camera.viewmat) for view in views]) - middle
+    towards = torch.nn.functional.normalize(towards, dim=1)
+    assert len(views) == VIEWS
+    torch.testing.assert_close(towards.mean(0), torch.zeros(3), atol=0.05, rtol=0)
+    nearest = (towards @ towards.T - 2 * torch.eye(VIEWS)).max(1).values
+    assert nearest.max() < 0.95  # 18 degrees: none twice
+    for view in views:
+        body = view.triangles >= 0
+        assert body.any()
+        assert not (body[0] | body[-1]).any()
+        assert not (body[:, 0] | body[:, -1]).any()
+
+
+def test_neighbours_in_order_are_far_apart(views):
+    towards = torch.stack([camera_centres(view.camera.viewmat) for view in views])
+    towards = torch.nn.functional.normalize(towards - towards.mean(0), dim=1)
+    assert (towards * towards.roll(1, 0)).sum(1).max() < 0.8
+
+
+def test_what_has_to_be_covered_lies_deep_inside_the_body(views):
+    for view in views:
+        depth = torch.from_numpy(distance_transform_edt((view.triangles >= 0).numpy()))
+        assert view.inside.any()
+        assert depth[view.inside].min() > 1
+        # The rim beside the thickest part stays free: a person may be thinner than her body.
+        row, column = divmod(int(depth.argmax()), depth.shape[1])
+        near = (slice(max(row - 3, 0), row + 4), slice(max(column - 3, 0), column + 4))
+        assert not view.inside[near][depth[near] <= INSIDE * depth.max()].any()
+        assert view.inside[depth == depth.max()].all()
+
+
+def test_only_what_is_missing_counts(views):
+    view = views[0]
+    whole = torch.ones(view.inside.shape)
+    assert view.open_share(whole) == 0
+    assert view.open_share(COVERED * whole) == 0
+    torch.testing.assert_close(view.open_share(0 * whole), torch.tensor(COVERED))
+    torch.testing.assert_close(view.open_share(0.5 * whole), torch.tensor(COVERED - 0.5))
+    assert view.open_share(view.inside.float()) == 0  # beside the body nothing is asked for
+
+
+def test_a_hole_counts_from_a_side_that_sees_it_and_is_closed_by_descent(avatar, step):
+    looks = [step(LOOKS_EVERY * turn) for turn in range(VIEWS)]
+    whole = torch.stack([open_share(avatar, look) for look in looks])
+    torn = torch.stack([open_share(holed(avatar, "left_knee"), look) for look in looks])
+    assert (torn >= whole - 1e-6).all()
+    assert (torn > whole + 0.01).sum() > VIEWS / 3
+    optimizer = torch.optim.Adam(avatar.parameters(), lr=0.02)
+    for look in looks * 3:
+        optimizer.zero_grad()
+        open_share(avatar, look).backward()
+        optimizer.step()
+    closed = torch.stack([open_share(avatar, look) for look in looks])
+    assert closed.mean() < 0.3 * torn.mean()
+
+
+def test_every_third_step_looks_for_all_three(avatar, views, step):
+    holed(avatar, "left_knee")
+    for iteration in range(1, LOOKS_EVERY):
+        assert open_share(avatar, step(iteration)) == 0
+    still = torch.eye(4).expand(1, len(avatar.body.parents), 4, 4)
+    for turn in (1, VIEWS + 1):
+        view = views[1]
+        state = avatar.condition(still[0, :, :3, :3], 0, still[0], view.camera.viewmat)
+        alpha = avatar.render(state, still, view.camera).alpha[0]
+        looked = open_share(avatar, step(turn * LOOKS_EVERY))
+        torch.testing.assert_close(looked, LOOKS_EVERY * view.open_share(alpha))
+
+
+def test_it_weighs_where_half_the_body_is_never_seen_and_nowhere_else(plain_recipe, step):
+    fitting = plain_recipe.fitting
+    held = fitting.regularisers.model_copy(update={"closed": 0.02, "smooth_colors": 0.5})
+    fitting = fitting.model_copy(update={"regularisers": held})
+    seen, half = (fitting.weights(step(1), share) for share in (HALF_SEEN, HALF_SEEN + 0.01))
+    assert (seen["closed"], half["closed"]) == (0.0, 0.02)
+    assert half["smooth_colors"] == pytest.approx(0.5 * (HALF_SEEN + 0.01) ** 2)
