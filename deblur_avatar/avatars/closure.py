@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter
 from torch import Tensor
 
 from deblur_avatar.geometry.cameras import Camera, look_at
-from deblur_avatar.rendering.mesh_rendering import triangles_seen
+from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
 # Not parameters: how the loss is sampled, and its weight was chosen with them.
 VIEWS = 24  # directions, evenly over the sphere
@@ -63,7 +63,10 @@ def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> 
     for step in range(VIEWS):
         eye = middle + DISTANCE * diameter * vertices.new_tensor(_direction(step * STRIDE % VIEWS))
         camera = Camera(K, look_at(eye, middle, up), SIZE, SIZE)
-        triangles = triangles_seen(*mesh, camera)
+        K_seen, viewmat = (part.double().cpu().numpy() for part in (camera.K, camera.viewmat))
+        view = View(K_seen, viewmat, SIZE, SIZE, samples_per_axis=1)
+        hits = cast_rays(*mesh, view.centre, view.directions.reshape(-1, 3))
+        triangles = hits.triangle.reshape(SIZE, SIZE)
         depth = distance_transform_edt(triangles >= 0)  # pixels
         deepest = maximum_filter(depth, 2 * reach + 1)
         inside = (depth > 1) & (depth > INSIDE * deepest)

@@ -20,7 +20,6 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
-from deblur_avatar.avatars.closure import closure_views
 from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
@@ -46,12 +45,6 @@ PARTS = {
     "right leg": ("right_knee", "right_ankle", "right_foot"),
     "head": ("head",),
 }
-# Joints whose surface must not be seen through; hands and feet are thin and often hidden.
-CLOSED_PARTS = (
-    "head", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow",
-    "left_hip", "right_hip", "left_knee", "right_knee",
-)  # fmt: skip
-CLOSED = 0.5  # alpha from where on a pixel is not seen through
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,32 +120,6 @@ def far_share(model: AvatarModel) -> float | None:
     tree = cKDTree(model.canonical_vertices.cpu().numpy())
     distance = torch.as_tensor(tree.query(means.numpy())[0])
     return float(opacities[distance > MARGIN].sum() / opacities.sum())
-
-
-def parts_open(model: AvatarModel, motion: Motion, position: int) -> dict[str, float]:
-    """Share of each part, well inside its silhouette, through which one sees, from all sides.
-
-    Args:
-        model: stands in the canonical pose, where its parts are apart.
-        motion: of every exposure.
-        position: of the exposure for whose pose the avatar is conditioned.
-    """
-    body = model.body
-    strongest = body.lbs_weights.argmax(1)[body.faces[:, 0]]  # joint of each triangle
-    poses = motion.centre.at([position])
-    rotations = axis_angle_to_matrix(poses.axis_angle)[0].to(model.betas.device)
-    still = torch.eye(4, device=model.betas.device).expand(1, len(body.parents), 4, 4)
-    count = torch.zeros(2, len(body.parents))  # pixels, and those seen through
-    with torch.no_grad():
-        for view in closure_views(model.canonical_vertices, body.faces):
-            state = model.condition(rotations, position, still[0], view.camera.viewmat)
-            alpha = model.render(state, still, view.camera).alpha[0][view.inside].cpu()
-            joints = strongest[view.triangles[view.inside].cpu()]
-            count[0] += torch.bincount(joints, minlength=len(body.parents))
-            count[1] += torch.bincount(joints[alpha < CLOSED], minlength=len(body.parents))
-    rows = [body.joint_names.index(name) for name in CLOSED_PARTS]
-    found = zip(CLOSED_PARTS, count[:, rows].T.tolist(), strict=True)
-    return {name: opened / pixels for name, (pixels, opened) in found if pixels}
 
 
 def explained_share(

@@ -22,11 +22,11 @@ from deblur_avatar.evaluation.avatar_measures import (
     filmed_looks,
     outside_share,
     parts_inside,
-    parts_open,
     turntable,
 )
 from deblur_avatar.evaluation.findings import Scale, judged, worst
 from deblur_avatar.evaluation.spacing import evenly_spaced
+from deblur_avatar.evaluation.torn_parts import parts_open
 
 _SURROUNDINGS = (
     "The avatar holds something that is not the person: look at masks and background "

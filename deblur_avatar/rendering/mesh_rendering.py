@@ -17,7 +17,6 @@ from jaxtyping import Float, Float32, Int, Int32
 from scipy.sparse import csr_matrix
 
 from deblur_avatar.artifacts.cameras import Cameras
-from deblur_avatar.geometry.cameras import Camera
 
 Cells = tuple[Int[np.ndarray, " Q"], Int[np.ndarray, " Q"]]
 
@@ -132,16 +131,6 @@ def cast_rays(
     starts = _packed(np.broadcast_to(origins, directions.shape))
     found = scene.run(starts, _packed(directions), output=True)
     return Hits(found["primID"], found["u"], found["v"], found["tfar"])
-
-
-def triangles_seen(
-    vertices: Float[np.ndarray, "P 3"], faces: Int[np.ndarray, "T 3"], camera: Camera
-) -> Int32[np.ndarray, "H W"]:
-    """Which triangle each pixel of a camera sees in its middle; -1 for none."""
-    K, viewmat = (part.double().cpu().numpy() for part in (camera.K, camera.viewmat))
-    view = View(K, viewmat, camera.width, camera.height, samples_per_axis=1)
-    hits = cast_rays(vertices, faces, view.centre, view.directions.reshape(-1, 3))
-    return hits.triangle.reshape(camera.height, camera.width)
 
 
 def face_normals(
