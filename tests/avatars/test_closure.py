@@ -22,8 +22,22 @@ def step(plain_recipe):
     )
 
 
-def open_share(avatar, step):
-    return avatar.regularisers(None, step)["closed"]()
+def seen(avatar, camera):
+    """The avatar in its canonical pose."""
+    still = torch.eye(4).expand(1, len(avatar.body.parents), 4, 4)
+    state = avatar.condition(still[0, :, :3, :3], 0, still[0], camera.viewmat)
+    return avatar.render(state, still, camera)
+
+
+@pytest.fixture
+def open_share(views):
+    """What the regulariser says, whatever was rendered of the frame."""
+
+    def of(avatar, step):
+        rendering = seen(avatar, views[0].camera)
+        return avatar.regularisers(rendering, step)["closed"]()
+
+    return of
 
 
 def holed(avatar, joint):
@@ -80,7 +94,7 @@ def test_only_what_is_missing_counts(views):
     assert view.open_share(view.inside.float()) == 0  # beside the body nothing is asked for
 
 
-def test_a_hole_counts_from_a_side_that_sees_it_and_is_closed_by_descent(avatar, step):
+def test_a_hole_counts_from_a_side_that_sees_it_and_is_closed_by_descent(avatar, step, open_share):
     looks = [step(LOOKS_EVERY * turn) for turn in range(VIEWS)]
     whole = torch.stack([open_share(avatar, look) for look in looks])
     torn = torch.stack([open_share(holed(avatar, "left_knee"), look) for look in looks])
@@ -95,15 +109,13 @@ def test_a_hole_counts_from_a_side_that_sees_it_and_is_closed_by_descent(avatar,
     assert closed.mean() < 0.3 * torn.mean()
 
 
-def test_every_third_step_looks_for_all_three(avatar, views, step):
+def test_every_third_step_looks_for_all_three(avatar, views, step, open_share):
     holed(avatar, "left_knee")
     for iteration in range(1, LOOKS_EVERY):
         assert open_share(avatar, step(iteration)) == 0
-    still = torch.eye(4).expand(1, len(avatar.body.parents), 4, 4)
     for turn in (1, VIEWS + 1):
         view = views[1]
-        state = avatar.condition(still[0, :, :3, :3], 0, still[0], view.camera.viewmat)
-        alpha = avatar.render(state, still, view.camera).alpha[0]
+        alpha = seen(avatar, view.camera).alpha[0]
         looked = open_share(avatar, step(turn * LOOKS_EVERY))
         torch.testing.assert_close(looked, LOOKS_EVERY * view.open_share(alpha))
 

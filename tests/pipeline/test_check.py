@@ -148,7 +148,7 @@ def test_the_page_shows_every_finding_and_the_sheet(seen):
         assert name.replace("_", " ") in page
     assert "not measured" in page
     assert "data:image/jpeg" in page
-    assert "http" not in page
+    assert "://" not in page
     # Blue is dominant nowhere but on the body's outline and the camera's path.
     blue = (sheet[..., 2].astype(int) - sheet[..., 0] > 100).sum()
     assert blue > 300

@@ -103,7 +103,7 @@ def test_the_page_names_what_failed_and_loads_nothing(filmed, avatar, motion):
     page = self_check_page("anna-lean", checked.content, sheet)
     assert '<h1>anna-lean: <span class="fail">fail</span></h1>' in page
     assert "The avatar does not look like the frames set aside" in page
-    assert "http" not in page.split("</style>")[1]
+    assert "://" not in page.split("</style>")[1]
 
 
 def test_what_lies_outside_is_red(filmed, avatar, motion):
