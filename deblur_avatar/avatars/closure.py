@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from torch import Tensor
 
+from deblur_avatar.avatars.avatar import AvatarModel, TrainingStep
 from deblur_avatar.geometry.cameras import Camera, look_at
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
@@ -40,9 +41,33 @@ class ClosureView:
     inside: Bool[Tensor, "H W"]
     triangles: Int[Tensor, "H W"]  # that are seen; -1 beside the body
 
-    def open_share(self, alpha: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
-        """By how much coverage well inside the body falls short of `COVERED`, mean."""
-        return (COVERED - alpha[self.inside]).relu().mean()
+    def __deepcopy__(self, memo: object) -> "ClosureView":
+        """Itself: it never changes, and every snapshot of a fit copies the avatar."""
+        return self
+
+    def coverage(
+        self,
+        avatar: AvatarModel,
+        rotations: Float[Tensor, "J 3 3"],
+        position: int,
+        step: TrainingStep | None = None,
+    ) -> Float[Tensor, " inside"]:
+        """Alpha of the canonical avatar on the pixels inside, differentiably.
+
+        Args:
+            avatar: of this very body.
+            rotations: of the joints relative to their parents, for whose pose it is conditioned.
+            position: of the exposure for which it is conditioned.
+            step: of fitting, if it is being fitted.
+        """
+        still = torch.eye(4, device=rotations.device).expand(1, len(rotations), 4, 4)
+        state = avatar.condition(rotations, position, still[0], self.camera.viewmat, step)
+        return avatar.render(state, still, self.camera).alpha[0][self.inside]
+
+
+def open_share(coverage: Float[Tensor, " inside"]) -> Float[Tensor, ""]:
+    """By how much coverage falls short of `COVERED`, mean."""
+    return (COVERED - coverage).relu().mean()
 
 
 def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> list[ClosureView]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
-from deblur_avatar.avatars.closure import ClosureView, closure_views
+from deblur_avatar.avatars.closure import ClosureView, closure_views, open_share
 from deblur_avatar.avatars.knn_smoothness import knn_smoothness
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, SplatFitting
 from deblur_avatar.avatars.regularisers import elongation
@@ -65,11 +65,10 @@ class PlainFitting(SplatFitting):
 
     def weights(self, step: TrainingStep, occluded_fraction: float) -> Mapping[str, float]:
         """By the square of the occluded fraction; needles, which point at the camera, by none."""
-        given = self.regularisers
         shares = {"needles": 1.0, "closed": float(occluded_fraction > HALF_SEEN)}
         return {
             name: shares.get(name, occluded_fraction**2) * value
-            for name, value in given.model_dump().items()
+            for name, value in self.regularisers.model_dump().items()
         }
 
 
@@ -115,26 +114,22 @@ class PlainAvatar(SplatAvatar):
         def heights() -> Tensor:
             return self._surface().heights(gaussians.means)[:, None] / HEIGHT
 
-        return {
+        terms = {
             "smooth_colors": lambda: smooth(gaussians.features),
             "smooth_shapes": lambda: smooth(shapes()),
             "smooth_heights": lambda: smooth(heights()),
             "needles": lambda: elongation(gaussians.log_scales, LONGEST),
-            "closed": lambda: self._open_share(step),
         }
+        look, between = divmod(step.iteration, LOOKS_EVERY)
+        return terms if between else terms | {"closed": lambda: self._open_share(look, step)}
 
-    def _open_share(self, step: TrainingStep) -> Tensor:
-        """How much light passes through the canonical avatar, from the side of every third step."""
-        turn, off = divmod(step.iteration, LOOKS_EVERY)
-        if off:
-            return self.gaussians.opacity_logits.new_zeros(())
+    def _open_share(self, look: int, step: TrainingStep) -> Tensor:
+        """How much light passes through the canonical avatar, from one side after the other."""
         if self._views is None:
             self._views = closure_views(self.canonical_vertices, self.body.faces)
-        view = self._views[turn % len(self._views)]
-        still = torch.eye(4, device=self.betas.device).expand(1, len(self.body.parents), 4, 4)
-        own = still[0]
-        state = self.condition(own[:, :3, :3], 0, own, view.camera.viewmat, step)
-        return LOOKS_EVERY * view.open_share(self.render(state, still, view.camera).alpha[0])
+        view = self._views[look % len(self._views)]
+        still = torch.eye(3, device=self.betas.device).expand(len(self.body.parents), 3, 3)
+        return LOOKS_EVERY * open_share(view.coverage(self, still, 0, step))
 
     def invalidate_neighbours(self) -> None:
         """Forget where Gaussians stood on the surface, too."""

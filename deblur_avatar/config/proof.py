@@ -40,9 +40,13 @@ class ColumnParams(Params):
 
 
 class ProofSceneParams(Params):
-    """One scene of the proof: what its figures may be used for, and where its footage lies."""
+    """One scene of the proof: what its figures may be used for, and where its footage lies.
 
-    kind: Literal["report", "tuning"]
+    A scene in `real_light` is a report scene that was filmed, not made. It has no exact poses and is
+    in no mean with those that have.
+    """
+
+    kind: Literal["report", "real_light", "tuning"]
     filmed: Literal["here", "root"]  # by the proof itself, or by the pipeline at the root
 
 

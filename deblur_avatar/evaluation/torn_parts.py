@@ -27,12 +27,10 @@ def parts_open(model: AvatarModel, motion: Motion, position: int) -> dict[str, f
     strongest = body.lbs_weights.argmax(1)[body.faces[:, 0]]  # joint of each triangle
     poses = motion.centre.at([position])
     rotations = axis_angle_to_matrix(poses.axis_angle)[0].to(model.betas.device)
-    still = torch.eye(4, device=model.betas.device).expand(1, len(body.parents), 4, 4)
     count = torch.zeros(2, len(body.parents))  # pixels, and those seen through
     with torch.no_grad():
         for view in closure_views(model.canonical_vertices, body.faces):
-            state = model.condition(rotations, position, still[0], view.camera.viewmat)
-            alpha = model.render(state, still, view.camera).alpha[0][view.inside].cpu()
+            alpha = view.coverage(model, rotations, position).cpu()
             joints = strongest[view.triangles[view.inside].cpu()]
             count[0] += torch.bincount(joints, minlength=len(body.parents))
             count[1] += torch.bincount(joints[alpha < CLOSED], minlength=len(body.parents))

@@ -45,6 +45,7 @@ GRIDS = ("psnr_seen", "psnr", "flip")
 STRIP = ("agnostic", "paper", "clip")  # of each avatar, where it was fitted
 HEADLINES = ("paper", "mad", "clip")  # motions whose recovery stands above all tables
 CHART = "quality_over_time"
+KINDS = ("report", "real_light", "tuning")  # of scenes, as they stand on the page
 QUALITY = "PSNR of the seen surface, dB"
 
 
@@ -116,7 +117,7 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
     )
     first = [] if overall is None else [grid_table(overall, MAIN, "Report scenes, mean")]
     every = [*first, *(t for of in tables.values() for t in of), *windows, *converged, *stopped]
-    shown = [*first, *(tables[s][0] for s in whole if plan.scenes[s].kind == "report")]
+    shown = [*first, *(tables[s][0] for s in whole if plan.scenes[s].kind != "tuning")]
     return ProofReport(
         page=page,
         tables="\n".join(_markdown(given) for given in every),
@@ -141,9 +142,9 @@ def _grids(plan: ProofParams, found: Sequence[Found]) -> dict[str, Grid]:
 
 
 def _in_order(plan: ProofParams) -> list[str]:
-    """Scenes that stand alone, report scenes first."""
+    """Scenes that stand alone, report scenes first, those in real light next."""
     alone = [scene for scene in plan.scenes if scene not in _windowed(plan)]
-    return sorted(alone, key=lambda scene: plan.scenes[scene].kind != "report")
+    return sorted(alone, key=lambda scene: KINDS.index(plan.scenes[scene].kind))
 
 
 def _overall(plan: ProofParams, grids: Mapping[str, Grid]) -> Grid | None:
@@ -241,11 +242,13 @@ def _summary(plan: ProofParams, grids: Mapping[str, Grid]) -> dict[str, Any]:
 def _about(plan: ProofParams, found: Sequence[Found]) -> str:
     report = [scene for scene, of in plan.scenes.items() if of.kind == "report"]
     shown = len({one.cell.scene for one in found} & set(report) - _windowed(plan))
+    filmed = {one.cell.scene for one in found if plan.scenes[one.cell.scene].kind == "real_light"}
+    real = f", and {len(filmed)} in real light" if filmed else ""
     avatars, motions = ({getattr(one.cell, of) for one in found} for of in ("avatar", "motion"))
     return (
         f"{len(avatars)} avatars, {len(motions)} motions, {len(found)} fits; "
         f"{shown} report scenes, on which no setting was chosen and whose truth is not the "
-        "fitter's own model. Recovery is the share of what blur costs an avatar that a motion wins "
+        f"fitter's own model{real}. Recovery is the share of what blur costs an avatar that a motion wins "
         "back for it: (method \u2212 agnostic) / (oracle \u2212 agnostic), all of the same avatar."
     )
 
@@ -253,6 +256,8 @@ def _about(plan: ProofParams, found: Sequence[Found]) -> str:
 def _about_scene(plan: ProofParams, found: Sequence[Found], scene: str) -> str:
     kind = {
         "report": "A report scene: made once, run once with frozen settings.",
+        "real_light": "A report scene in real light: frames of a fast camera summed, scored against "
+        "those frames, which the filming camera alone has; run once with frozen settings.",
         "tuning": "A tuning scene: settings were chosen on it, so its figures prove nothing.",
     }[plan.scenes[scene].kind]
     here = [one.cell for one in found if one.cell.scene == scene]

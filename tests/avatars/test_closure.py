@@ -1,9 +1,11 @@
+import copy
+
 import pytest
 import torch
 from scipy.ndimage import distance_transform_edt
 
 from deblur_avatar.avatars.avatar import TrainingStep
-from deblur_avatar.avatars.closure import COVERED, INSIDE, VIEWS, closure_views
+from deblur_avatar.avatars.closure import COVERED, INSIDE, VIEWS, closure_views, open_share
 from deblur_avatar.avatars.plain_avatar import HALF_SEEN, LOOKS_EVERY
 from deblur_avatar.geometry.cameras import camera_centres
 
@@ -30,7 +32,7 @@ def seen(avatar, camera):
 
 
 @pytest.fixture
-def open_share(views):
+def look_share(views):
     """What the regulariser says, whatever was rendered of the frame."""
 
     def of(avatar, step):
@@ -84,40 +86,49 @@ def test_what_has_to_be_covered_lies_deep_inside_the_body(views):
         assert view.inside[depth == depth.max()].all()
 
 
-def test_only_what_is_missing_counts(views):
-    view = views[0]
-    whole = torch.ones(view.inside.shape)
-    assert view.open_share(whole) == 0
-    assert view.open_share(COVERED * whole) == 0
-    torch.testing.assert_close(view.open_share(0 * whole), torch.tensor(COVERED))
-    torch.testing.assert_close(view.open_share(0.5 * whole), torch.tensor(COVERED - 0.5))
-    assert view.open_share(view.inside.float()) == 0  # beside the body nothing is asked for
+def test_only_what_is_missing_counts():
+    whole = torch.ones(5)
+    assert open_share(whole) == 0
+    assert open_share(COVERED * whole) == 0
+    torch.testing.assert_close(open_share(0 * whole), torch.tensor(COVERED))
+    torch.testing.assert_close(open_share(torch.tensor([1.0, 0.5])), torch.tensor(0.15))
 
 
-def test_a_hole_counts_from_a_side_that_sees_it_and_is_closed_by_descent(avatar, step, open_share):
+def test_coverage_is_the_canonical_avatars_well_inside_the_body(avatar, views):
+    still = torch.eye(3).expand(len(avatar.body.parents), 3, 3)
+    coverage = views[0].coverage(avatar, still, 0)
+    assert torch.equal(coverage, seen(avatar, views[0].camera).alpha[0][views[0].inside])
+
+
+def test_copies_of_a_fit_share_their_views(avatar, step, look_share):
+    look_share(avatar, step(0))
+    assert copy.deepcopy(avatar)._views[0] is avatar._views[0]
+
+
+def test_a_hole_counts_from_a_side_that_sees_it_and_is_closed_by_descent(avatar, step, look_share):
     looks = [step(LOOKS_EVERY * turn) for turn in range(VIEWS)]
-    whole = torch.stack([open_share(avatar, look) for look in looks])
-    torn = torch.stack([open_share(holed(avatar, "left_knee"), look) for look in looks])
+    whole = torch.stack([look_share(avatar, look) for look in looks])
+    torn = torch.stack([look_share(holed(avatar, "left_knee"), look) for look in looks])
     assert (torn >= whole - 1e-6).all()
     assert (torn > whole + 0.01).sum() > VIEWS / 3
     optimizer = torch.optim.Adam(avatar.parameters(), lr=0.02)
     for look in looks * 3:
         optimizer.zero_grad()
-        open_share(avatar, look).backward()
+        look_share(avatar, look).backward()
         optimizer.step()
-    closed = torch.stack([open_share(avatar, look) for look in looks])
+    closed = torch.stack([look_share(avatar, look) for look in looks])
     assert closed.mean() < 0.3 * torn.mean()
 
 
-def test_every_third_step_looks_for_all_three(avatar, views, step, open_share):
+def test_every_third_step_looks_for_all_three(avatar, views, step, look_share):
     holed(avatar, "left_knee")
+    rendering = seen(avatar, views[0].camera)
     for iteration in range(1, LOOKS_EVERY):
-        assert open_share(avatar, step(iteration)) == 0
+        assert "closed" not in avatar.regularisers(rendering, step(iteration))
     for turn in (1, VIEWS + 1):
-        view = views[1]
-        alpha = seen(avatar, view.camera).alpha[0]
-        looked = open_share(avatar, step(turn * LOOKS_EVERY))
-        torch.testing.assert_close(looked, LOOKS_EVERY * view.open_share(alpha))
+        alpha = seen(avatar, views[1].camera).alpha[0][views[1].inside]
+        looked = look_share(avatar, step(turn * LOOKS_EVERY))
+        torch.testing.assert_close(looked, LOOKS_EVERY * open_share(alpha))
 
 
 def test_it_weighs_where_half_the_body_is_never_seen_and_nowhere_else(plain_recipe, step):

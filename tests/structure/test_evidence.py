@@ -23,7 +23,9 @@ PROOF, DSTNET = ROOT / "experiments/proof", ROOT / "experiments/dstnet"
 UNTRAINED = "no weights are shipped yet: experiments/dstnet"
 PLAN = load_plan(PROOF / "params.yaml")
 SCENE = stages(PROOF / "scene.dvc.yaml")
-REPORT = {name for name, scene in PLAN.scenes.items() if scene.kind == "report"}
+MADE = {name for name, scene in PLAN.scenes.items() if scene.kind == "report"}
+FILMED = {name for name, scene in PLAN.scenes.items() if scene.kind == "real_light"}
+REPORT = MADE | FILMED
 TUNING = {name for name, scene in PLAN.scenes.items() if scene.kind == "tuning"}
 # Where a report scene may be named: its own entry, and what says which cells are fitted.
 ALLOWED = re.compile(
@@ -158,14 +160,25 @@ def test_other_weights_are_other_code_to_the_stage_that_reads_them() -> None:
 def test_report_scenes_are_no_tuning_scenes() -> None:
     root = read(ROOT / "params.yaml")["scenes"]
     filmed_here = read(PROOF / "params.yaml")["scenes"]
+    assert {"skater_17", "studio"} <= TUNING
     assert not REPORT & TUNING
     assert not REPORT & root.keys()
     assert root.keys() | filmed_here.keys() >= TUNING
-    tuned_on = [(root | filmed_here)[name]["clip"] for name in TUNING]
-    for name in REPORT:
+    tuned_on = [clip for name in TUNING if "motion" in (clip := (root | filmed_here)[name]["clip"])]
+    for name in MADE:
         clip = load_params(PROOF / "params.yaml", f"scenes.{name}", SceneParams).clip
         assert clip.source == "unfitted_studio"
         assert not any(shows_the_same(filmed_here[name]["clip"], other) for other in tuned_on)
+
+
+def test_what_was_filmed_for_the_report_is_no_footage_of_a_tuning_scene() -> None:
+    filmed = read(ROOT / "params.yaml")["scenes"] | read(PROOF / "params.yaml")["scenes"]
+    for name in FILMED:
+        clip, known = filmed[name]["clip"], filmed["skater_17"]
+        assert clip["source"] == known["clip"]["source"] == "high_speed"
+        others = {str(scene["clip"].get("path")) for key, scene in filmed.items() if key != name}
+        assert clip["path"] not in others
+        assert filmed[name]["preprocess"] == known["preprocess"], "settings of the tuning scene"
 
 
 def shows_the_same(clip: dict[str, Any], other: dict[str, Any]) -> bool:
@@ -183,7 +196,7 @@ def test_the_same_seconds_of_a_motion_are_known() -> None:
     assert not shows_the_same(clip, clip | {"motion": "walk"})
 
 
-@pytest.mark.parametrize("name", sorted(REPORT))
+@pytest.mark.parametrize("name", sorted(MADE))
 def test_the_truth_of_a_report_scene_is_not_the_fitter_s(name: str) -> None:
     scene = load_params(PROOF / "params.yaml", f"scenes.{name}", SceneParams)
     clip = scene.clip
