@@ -23,6 +23,7 @@ PLAN: dict[str, Any] = {
     },
     "windows": {"leaping": {17: "leaping_17", 33: "leaping"}},
     "strips": 2,
+    "without_pictures": [],
     "parts": {
         "grid": {
             "scenes": ["leaping", "leaping_17"], "schedules": ["x1"], "seeds": [0],

@@ -42,8 +42,8 @@ class ColumnParams(Params):
 class ProofSceneParams(Params):
     """One scene of the proof: what its figures may be used for, and where its footage lies.
 
-    A scene in `real_light` is a report scene that was filmed, not made. It has no exact poses and is
-    in no mean with those that have.
+    A scene in `real_light` is a report scene that was filmed, not made. It has no exact poses and
+    is in no mean with those that have.
     """
 
     kind: Literal["report", "real_light", "tuning"]
@@ -77,7 +77,8 @@ class ProofParams(Params):
     columns: dict[str, ColumnParams]
     scenes: dict[str, ProofSceneParams]
     windows: dict[str, dict[Count, str]]  # scenes that differ in it alone: sub-frames to scene
-    strips: Count  # test views of each report scene on the page
+    strips: Count  # test views of each scene on the page
+    without_pictures: tuple[str, ...]  # scenes of which the page shows none
     parts: dict[str, PartParams]
     run: tuple[str, ...]  # parts that `make proof` runs unless others are asked for
     costs: CostParams
@@ -153,8 +154,12 @@ def _check_shared(path: Path, plan: ProofParams) -> None:
         there = scenes if section == "scenes" else load_params(path, section, dict)
         for name in sorted(names - there.keys()):
             raise ConfigError(f"{path}: proof: {section} has no {name!r}")
-    for name in sorted((windows | plan.windows.keys()) - plan.scenes.keys()):
-        raise ConfigError(f"{path}: proof.windows: there is no scene {name!r} in proof.scenes")
+    named = {"windows": windows | plan.windows.keys(), "without_pictures": {*plan.without_pictures}}
+    for section, names in named.items():
+        for name in sorted(names - plan.scenes.keys()):
+            raise ConfigError(
+                f"{path}: proof.{section}: there is no scene {name!r} in proof.scenes"
+            )
 
 
 def cells_of(plan: ProofParams, parts: Sequence[str] | None = None) -> dict[str, Cell]:

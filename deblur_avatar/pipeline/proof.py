@@ -248,16 +248,17 @@ def _about(plan: ProofParams, found: Sequence[Found]) -> str:
     return (
         f"{len(avatars)} avatars, {len(motions)} motions, {len(found)} fits; "
         f"{shown} report scenes, on which no setting was chosen and whose truth is not the "
-        f"fitter's own model{real}. Recovery is the share of what blur costs an avatar that a motion wins "
-        "back for it: (method \u2212 agnostic) / (oracle \u2212 agnostic), all of the same avatar."
+        f"fitter's own model{real}. Recovery is the share of what blur costs an avatar that a "
+        "motion wins back for it: (method \u2212 agnostic) / (oracle \u2212 agnostic), all of the "
+        "same avatar."
     )
 
 
 def _about_scene(plan: ProofParams, found: Sequence[Found], scene: str) -> str:
     kind = {
         "report": "A report scene: made once, run once with frozen settings.",
-        "real_light": "A report scene in real light: frames of a fast camera summed, scored against "
-        "those frames, which the filming camera alone has; run once with frozen settings.",
+        "real_light": "A report scene in real light: sums of a fast camera's frames, scored "
+        "against those frames, from the filming camera alone; run once with frozen settings.",
         "tuning": "A tuning scene: settings were chosen on it, so its figures prove nothing.",
     }[plan.scenes[scene].kind]
     here = [one.cell for one in found if one.cell.scene == scene]
@@ -284,6 +285,8 @@ def _figures(overall: Grid | None) -> list[dict[str, str]]:
 
 
 def _strips(plan: ProofParams, found: Sequence[Found], scene: str, pictures: Path) -> list[Strip]:
+    if scene in plan.without_pictures:
+        return []
     schedule = schedules_of(found, scene)[0]
     cells = {(one.cell.avatar, one.cell.motion): one.cell for one in reversed(found)
              if (one.cell.scene, one.cell.schedule) == (scene, schedule)}  # fmt: skip

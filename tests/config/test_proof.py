@@ -70,6 +70,7 @@ def test_a_cell_that_two_parts_ask_for_is_there_once():
         ({"scenes": {**PLAN["scenes"], "lying": {"kind": "report", "filmed": "here"}}},
          "proof: scenes has no 'lying'"),
         ({"windows": {"leaping": {17: "moon"}}}, "proof.windows: there is no scene 'moon'"),
+        ({"without_pictures": ["moon"]}, "proof.without_pictures: there is no scene 'moon'"),
     ],
 )  # fmt: skip
 def test_a_name_that_stands_for_nothing_is_refused(tmp_path, changes, message):

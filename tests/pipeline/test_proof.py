@@ -8,7 +8,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.proof import report_proof
 from tests.evaluation.test_proof_grid import PSNR
-from tests.proof_results import small_plan, write_cell
+from tests.proof_results import PLAN, small_plan, write_cell
 
 
 @pytest.fixture
@@ -117,3 +117,15 @@ def test_strips_show_what_each_avatar_made_of_the_same_view(metrics, tmp_path):
     assert {"blurred input", "plain clip", "networks paper", "truth"} <= set(labels)
     assert "plain oracle" not in labels
     assert "camera test1, frame 3" in report.page
+    hidden = small_plan(without_pictures=["leaping"])
+    assert "<img" not in report_proof(hidden, metrics, tmp_path / "pictures").page
+
+
+def test_real_light_stands_between_and_in_no_mean(metrics, tmp_path):
+    scenes = PLAN["scenes"] | {"studio": {"kind": "real_light", "filmed": "root"}}
+    report = report_proof(small_plan(scenes=scenes), metrics, tmp_path / "pictures")
+    titles = [line for line in report.headline.splitlines() if line.startswith("### ")]
+    assert [title.split()[1] for title in titles] == ["leaping:", "studio:"]
+    assert "1 report scenes" in report.page
+    assert "and 1 in real light" in report.page
+    assert "A report scene in real light" in report.page

@@ -30,6 +30,7 @@ TUNING = {name for name, scene in PLAN.scenes.items() if scene.kind == "tuning"}
 # Where a report scene may be named: its own entry, and what says which cells are fitted.
 ALLOWED = re.compile(
     r"scenes\.(?P<own>\w+)(\..*)?|proof\.scenes|proof\.windows(\..*)?|proof\.parts\.\w+\.scenes"
+    r"|proof\.without_pictures"
     r"|predeblur"  # which of them are deblurred; how, is the same for all
 )
 PARAMETERS = [
@@ -179,6 +180,11 @@ def test_what_was_filmed_for_the_report_is_no_footage_of_a_tuning_scene() -> Non
         others = {str(scene["clip"].get("path")) for key, scene in filmed.items() if key != name}
         assert clip["path"] not in others
         assert filmed[name]["preprocess"] == known["preprocess"], "settings of the tuning scene"
+
+
+def test_no_page_shows_footage_that_is_not_ours_to_show() -> None:
+    assert FILMED | {"skater_17"} <= {*PLAN.without_pictures}
+    assert {"skater_17"} <= {*read(ROOT / "params.yaml")["without_pictures"]}
 
 
 def shows_the_same(clip: dict[str, Any], other: dict[str, Any]) -> bool:
