@@ -6,7 +6,7 @@ from scipy.ndimage import distance_transform_edt
 
 from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.closure import COVERED, INSIDE, VIEWS, closure_views, open_share
-from deblur_avatar.avatars.plain_avatar import HALF_SEEN, LOOKS_EVERY
+from deblur_avatar.avatars.plain_avatar import LOOKS_EVERY, PART_SEEN
 from deblur_avatar.geometry.cameras import camera_centres
 
 pytestmark = pytest.mark.portable
@@ -131,10 +131,10 @@ def test_every_third_step_looks_for_all_three(avatar, views, step, look_share):
         torch.testing.assert_close(looked, LOOKS_EVERY * open_share(alpha))
 
 
-def test_it_weighs_where_half_the_body_is_never_seen_and_nowhere_else(plain_recipe, step):
+def test_it_weighs_where_part_of_the_body_is_never_seen_and_nowhere_else(plain_recipe, step):
     fitting = plain_recipe.fitting
     held = fitting.regularisers.model_copy(update={"closed": 0.02, "smooth_colors": 0.5})
     fitting = fitting.model_copy(update={"regularisers": held})
-    seen, half = (fitting.weights(step(1), share) for share in (HALF_SEEN, HALF_SEEN + 0.01))
-    assert (seen["closed"], half["closed"]) == (0.0, 0.02)
-    assert half["smooth_colors"] == pytest.approx(0.5 * (HALF_SEEN + 0.01) ** 2)
+    seen, part = (fitting.weights(step(1), share) for share in (PART_SEEN, PART_SEEN + 0.01))
+    assert (seen["closed"], part["closed"]) == (0.0, 0.02)
+    assert part["smooth_colors"] == pytest.approx(0.5 * (PART_SEEN + 0.01) ** 2)
