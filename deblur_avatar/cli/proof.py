@@ -13,6 +13,7 @@ from deblur_avatar.cli.running_dvc import check_checkout, reproduce
 from deblur_avatar.cli.sweep import sweep
 from deblur_avatar.config.proof import (
     Cell,
+    CostParams,
     ProofParams,
     cells_of,
     iterations_of,
@@ -74,16 +75,15 @@ def what_it_takes(
     plan: ProofParams, cells: dict[str, Cell], left: dict[str, Cell], at_once: int
 ) -> str:
     """Cells and hours of one core, by scene and schedule."""
-    iterations = iterations_of(PARAMS)
+    iterations, costs = iterations_of(PARAMS), load_params(PARAMS, "costs", CostParams)
     lines = [f"{len(cells)} cells, {len(cells) - len(left)} of them there already."]
     total = 0.0
     for scene in dict.fromkeys(cell.scene for cell in cells.values()):
         own = [cell for cell in left.values() if cell.scene == scene]
-        seconds = seconds_of(plan, own, iterations)
+        seconds = seconds_of(plan, costs, own, iterations)
         total += seconds
         schedules = ", ".join(dict.fromkeys(cell.schedule for cell in own))
         lines.append(f"  {scene}: {len(own)} cells ({schedules}), {seconds / 60:.0f} min")
-    costs = plan.costs
     lines.append(
         f"In all {total / 3600:.1f} hours of one core ({costs.machine}); with {at_once} stages at "
         f"a time not less than {total / 3600 / at_once:.1f} hours."

@@ -60,7 +60,7 @@ class PartParams(Params):
 
 
 class CostParams(Params):
-    """Measured seconds of one core, on `machine`."""
+    """Measured seconds of one core, on `machine` (`costs`)."""
 
     machine: str
     schedule: str  # that the fits were measured with
@@ -81,7 +81,6 @@ class ProofParams(Params):
     without_pictures: tuple[str, ...]  # scenes of which the page shows none
     parts: dict[str, PartParams]
     run: tuple[str, ...]  # parts that `make proof` runs unless others are asked for
-    costs: CostParams
 
 
 @dataclass(frozen=True)
@@ -196,16 +195,20 @@ def warmup_of(cell: Cell, plan: ProofParams) -> str:
 
 
 def seconds_of(
-    plan: ProofParams, cells: Iterable[Cell], iterations: Mapping[str, tuple[int, int]]
+    plan: ProofParams,
+    costs: CostParams,
+    cells: Iterable[Cell],
+    iterations: Mapping[str, tuple[int, int]],
 ) -> float:
     """What cells will cost: seconds of one core, their scenes and warm-ups once.
 
     Args:
-        plan: holds the measured costs.
+        plan: that they are of.
+        costs: what was measured.
         cells: those to be fitted.
         iterations: of each schedule, as `iterations_of` reads them.
     """
-    costs, seconds = plan.costs, 0.0
+    seconds = 0.0
     measured = iterations[costs.schedule][1]
     begun: set[tuple[str, str]] = set()  # scenes and warm-ups
     for cell in cells:

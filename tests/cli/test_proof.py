@@ -8,7 +8,7 @@ from deblur_avatar.cli import proof, running_dvc
 from deblur_avatar.cli.main import main
 from deblur_avatar.config.proof import Cell, cells_of
 from tests.cli.test_repro import Commands
-from tests.proof_results import PLAN, small_plan, write_cell
+from tests.proof_results import COSTS, PLAN, small_plan, write_cell
 from tests.sources.studio.test_unfitted_studio import OFF
 
 
@@ -28,7 +28,7 @@ def folder(tiny_content, tmp_path, monkeypatch):
             name: {"warmup": 20 * k, "trajectory": 50 * k, "fusion": 100 * k}
             for name, k in (("x1", 1), ("x2", 2))
         },
-        "scenes": dict.fromkeys(("leaping", "leaping_17"), scene), "proof": PLAN,
+        "scenes": dict.fromkeys(("leaping", "leaping_17"), scene), "proof": PLAN, "costs": COSTS,
     }  # fmt: skip
     path = tmp_path / "experiments/proof/params.yaml"
     path.parent.mkdir(parents=True)

@@ -3,6 +3,7 @@ from ruamel.yaml import YAML
 
 from deblur_avatar.config.proof import (
     Cell,
+    CostParams,
     cells_of,
     files_of,
     items_of_scene,
@@ -10,9 +11,9 @@ from deblur_avatar.config.proof import (
     seconds_of,
     warmup_of,
 )
-from deblur_avatar.config.reading import load_params, read_params
+from deblur_avatar.config.reading import load_params, parse, read_params
 from deblur_avatar.errors import ConfigError
-from tests.proof_results import PLAN, small_plan
+from tests.proof_results import COSTS, PLAN, small_plan
 
 ITERATIONS = {"x1": (20, 100), "x2": (40, 200)}
 
@@ -26,6 +27,7 @@ def written(folder, **changes):
         "avatars": {"paper": {}, "lean": {}},
         "methods": {name: {} for name in ("agnostic", "paper", "lean", "oracle")},
         "proof": PLAN | changes,
+        "costs": COSTS,
     }  # fmt: skip
     with (folder / "params.yaml").open("w") as file:
         YAML().dump(content, file)
@@ -83,10 +85,10 @@ def test_a_plan_is_read_whole(tmp_path):
 
 
 def test_costs_grow_with_iterations_and_share_scenes_and_warm_ups():
-    plan = small_plan()
+    plan, costs = small_plan(), parse(CostParams, COSTS, "costs")
 
     def cost(*cells):
-        return seconds_of(plan, cells, ITERATIONS)
+        return seconds_of(plan, costs, cells, ITERATIONS)
 
     agnostic = Cell("leaping", "plain", "agnostic", "x1", 0)
     clip = Cell("leaping", "plain", "clip", "x1", 0)

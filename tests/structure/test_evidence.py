@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from deblur_avatar.config.proof import ProofParams, cells_of, files_of, load_plan
+from deblur_avatar.config.proof import CostParams, ProofParams, cells_of, files_of, load_plan
 from deblur_avatar.config.reading import load_params, read_params
 from deblur_avatar.imaging.deblurring.dstnet_small import PARTS, SHIPPED
 from deblur_avatar.imaging.dstnet_weights import DstnetWeights
@@ -267,5 +267,6 @@ def test_what_is_known_of_a_cell_is_what_its_column_says() -> None:
 
 def test_every_cell_of_the_plan_has_a_measured_cost() -> None:
     assert isinstance(PLAN, ProofParams)
+    costs = load_params(PROOF / "params.yaml", "costs", CostParams)
     for cell in cells_of(PLAN).values():
-        assert PLAN.costs.fits[cell.avatar][cell.motion] > 0
+        assert costs.fits[cell.avatar][cell.motion] > 0
