@@ -18,7 +18,7 @@ from torch import Tensor
 
 from deblur_avatar.avatars.avatar import AvatarModel, TrainingStep
 from deblur_avatar.geometry.cameras import Camera, look_at
-from deblur_avatar.rendering.mesh_rendering import View, cast_rays
+from deblur_avatar.rendering.seen_triangles import seen_triangles
 
 # Not parameters: how the loss is sampled, and its weight was chosen with them.
 VIEWS = 24  # directions, evenly over the sphere
@@ -88,10 +88,7 @@ def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> 
     for step in range(VIEWS):
         eye = middle + DISTANCE * diameter * vertices.new_tensor(_direction(step * STRIDE % VIEWS))
         camera = Camera(K, look_at(eye, middle, up), SIZE, SIZE)
-        K_seen, viewmat = (part.double().cpu().numpy() for part in (camera.K, camera.viewmat))
-        view = View(K_seen, viewmat, SIZE, SIZE, samples_per_axis=1)
-        hits = cast_rays(*mesh, view.centre, view.directions.reshape(-1, 3))
-        triangles = hits.triangle.reshape(SIZE, SIZE)
+        triangles = seen_triangles(*mesh, camera)
         depth = distance_transform_edt(triangles >= 0)  # pixels
         deepest = maximum_filter(depth, 2 * reach + 1)
         inside = (depth > 1) & (depth > INSIDE * deepest)

@@ -22,6 +22,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
 from deblur_avatar.evaluation.reblur import reblurred
 from deblur_avatar.evaluation.spacing import evenly_spaced
@@ -187,5 +188,4 @@ def _part_of_triangles(body: Body) -> Int[np.ndarray, " T"]:
         named = [i for i, names in enumerate(PARTS.values()) if body.joint_names[joint] in names]
         inherited = joints[parent] if parent >= 0 else -1
         joints[joint] = named[0] if named else inherited
-    strongest = body.lbs_weights.argmax(1).numpy()
-    return joints[strongest[body.faces[:, 0].numpy()]]
+    return joints[triangle_joints(body).numpy()]

@@ -6,18 +6,14 @@ from scipy.ndimage import distance_transform_edt
 
 from deblur_avatar.bodies.posed_body import PosedBody
 from deblur_avatar.geometry.cameras import Camera
-from deblur_avatar.rendering.mesh_rendering import View, cast_rays
+from deblur_avatar.rendering.seen_triangles import seen_triangles
 
 INSIDE = 127  # of a matte's 255: more is the person
 
 
 def body_triangles(surface: PosedBody, camera: Camera) -> Int[np.ndarray, "H W"]:
     """Which triangle of a body in its first pose each pixel sees; -1 for none."""
-    K, viewmat = (part.double().cpu().numpy() for part in (camera.K, camera.viewmat))
-    view = View(K, viewmat, camera.width, camera.height, samples_per_axis=1)
-    vertices, faces = surface.vertices[0].numpy(), surface.body.faces.numpy()
-    hits = cast_rays(vertices, faces, view.centre, view.directions.reshape(-1, 3))
-    return hits.triangle.reshape(camera.height, camera.width)
+    return seen_triangles(surface.vertices[0].numpy(), surface.body.faces.numpy(), camera)
 
 
 def silhouette_distance(surface: PosedBody, camera: Camera) -> Float[np.ndarray, "H W"]:

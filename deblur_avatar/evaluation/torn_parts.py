@@ -5,6 +5,7 @@ import torch
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.closure import closure_views
+from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 
 # Joints whose surface must not be seen through; hands and feet are thin and often hidden.
@@ -24,7 +25,7 @@ def parts_open(model: AvatarModel, motion: Motion, position: int) -> dict[str, f
         position: of the exposure for whose pose the avatar is conditioned.
     """
     body = model.body
-    strongest = body.lbs_weights.argmax(1)[body.faces[:, 0]]  # joint of each triangle
+    strongest = triangle_joints(body)
     poses = motion.centre.at([position])
     rotations = axis_angle_to_matrix(poses.axis_angle)[0].to(model.betas.device)
     count = torch.zeros(2, len(body.parents))  # pixels, and those seen through

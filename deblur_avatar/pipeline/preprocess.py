@@ -122,8 +122,8 @@ def preprocess(
     track = _track(clip, body, params, people, shown)
     if track.model == "full":
         logger.warning(
-            "poses come from the smaller pose model and are about a third farther off than need "
-            "be; `deblur-avatar setup`, with npm on the path, brings the larger one"
+            "poses come from the smaller pose model and are up to two fifths farther off than "
+            "need be; `deblur-avatar setup`, with npm on the path, brings the larger one"
         )
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
     crops, cameras = person_crops(clip.cameras, body, track.poses, params.margin, image_height)

@@ -1,9 +1,16 @@
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.sources.self_calibration import _agreed, calibrate_focal
+from deblur_avatar.sources import self_calibration
+from deblur_avatar.sources.self_calibration import _agreed, _answer, calibrate_focal
 
 WIDTH, HEIGHT, FOCAL, FRAMES = 320, 240, 380.0, 12
 
@@ -66,9 +73,54 @@ def test_a_still_camera_gives_no_answer():
     assert "no way of the camera" in how or "not to be believed" in how
 
 
-def test_what_two_seeds_do_not_agree_on_is_no_answer():
+def test_the_same_frames_give_the_same_bits():
+    assert calibrate_focal(*filmed(walks=True)) == calibrate_focal(*filmed(walks=True))
+
+
+def test_cameras_that_fit_badly_are_no_answer():
+    way = SimpleNamespace(
+        num_reg_images=lambda: 40,
+        compute_mean_reprojection_error=lambda: (
+            0.86
+        ),  # a street's, filmed through a rolling shutter
+        cameras={1: SimpleNamespace(mean_focal_length=lambda: 485.0)},  # 739 were true
+    )
+    focal, why = _answer({0: way}, 40, 960)
+    assert focal is None
+    assert "not to be believed: 40 of 40 frames placed, error 0.86 px, focal 485 px" in why
+    way.compute_mean_reprojection_error = lambda: 0.4
+    assert _answer({0: way}, 40, 960)[0] == 485.0
+
+
+def test_what_ends_one_look_ends_the_other(monkeypatch, tmp_path):
+    begun, ended = threading.Event(), threading.Event()
+
+    def look(folder: Path, stop: Any, seed: int) -> None:
+        if seed == 1:
+            begun.wait(20)
+            raise KeyboardInterrupt
+        begun.set()
+        deadline = time.monotonic() + 20
+        while not stop.is_cancelled and time.monotonic() < deadline:
+            time.sleep(0.01)
+        if stop.is_cancelled:
+            ended.set()
+
+    monkeypatch.setattr(self_calibration, "_look", look)
+    with pytest.raises(KeyboardInterrupt):
+        self_calibration._looks(tmp_path)
+    assert ended.is_set()
+
+
+def test_looks_that_agree_give_their_geometric_mean():
+    near = [(690.0, "self-calibrated: a"), (700.0, "self-calibrated: b")]
+    focal, how = _agreed(near)
+    assert focal == pytest.approx((690.0 * 700.0) ** 0.5)
+    assert how == "self-calibrated: a, focal 695 px (looks: 690 and 700)"
+
+
+def test_what_two_looks_do_not_agree_on_is_no_answer():
     near, far = (690.0, "self-calibrated: a"), (513.0, "self-calibrated: b")
-    assert _agreed([near, (700.0, "self-calibrated: c")]) == near
     for order in ([near, far], [far, near]):
         focal, why = _agreed(order)
         assert focal is None
@@ -76,3 +128,10 @@ def test_what_two_seeds_do_not_agree_on_is_no_answer():
         assert "690" in why
         assert "513" in why
     assert _agreed([near, (None, "no way")]) == (None, "no way")
+
+
+def test_each_step_says_that_it_has_begun(caplog):
+    with caplog.at_level("INFO"):
+        calibrate_focal(*filmed(walks=False))
+    steps = [line.message for line in caplog.records if "self-calibration: " in line.message]
+    assert [step.split(": ")[1].split()[0] for step in steps[:3]] == ["features", "matches", "the"]
