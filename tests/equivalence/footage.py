@@ -21,6 +21,7 @@ from PIL import Image
 
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from deblur_avatar.imaging.dstnet import Dstnet, DstnetParams
 from deblur_avatar.imaging.dstnet_weights import DstnetWeights
@@ -50,7 +51,7 @@ def _write_video(folder: Path) -> None:
     body = smpl_like_body()
     poses = _before_camera(walking_poses(body, FRAMES))
     motion = poses.betas, poses.global_orient, poses.body_pose, poses.transl
-    parts = body.lbs_weights.argmax(1)[body.faces[:, 0]].numpy()  # a colour for each
+    parts = triangle_joints(body).numpy()  # a colour for each
     colours = 55 + 200 * (0.5 + 0.5 * np.sin(parts[:, None] * np.array([1.0, 2.3, 4.1])))
     plate = np.random.default_rng(0).integers(60, 90, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float) + 0.5

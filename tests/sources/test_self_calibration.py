@@ -80,11 +80,9 @@ def test_the_same_frames_give_the_same_bits():
 def test_cameras_that_fit_badly_are_no_answer():
     way = SimpleNamespace(
         num_reg_images=lambda: 40,
-        compute_mean_reprojection_error=lambda: (
-            0.86
-        ),  # a street's, filmed through a rolling shutter
-        cameras={1: SimpleNamespace(mean_focal_length=lambda: 485.0)},  # 739 were true
-    )
+        compute_mean_reprojection_error=lambda: 0.86,
+        cameras={1: SimpleNamespace(mean_focal_length=lambda: 485.0)},
+    )  # of a street filmed through a rolling shutter, whose true focal length is 739
     focal, why = _answer({0: way}, 40, 960)
     assert focal is None
     assert "not to be believed: 40 of 40 frames placed, error 0.86 px, focal 485 px" in why
