@@ -5,10 +5,11 @@
 films the synthetic studio at each size, fits it with the schedule of that size, and scores avatars
 kept on the way against sharp novel views (PSNR over the surface that the training camera saw). The
 reference is what a run of 15,000 iterations without levels reaches with the same settings: it takes
-an hour, is run once by `--reference`, and stands in `--references FILE`, which a record is compared
-with. Seconds are of fitting alone, by the clock and of the processor; a record wants an idle
-machine, and says of each row how busy it was. Rows that a record has of other sizes, methods and
-schedules stay in it. `--beside` adds what a second fit on the same cores costs.
+hours, is run once by `--reference`, which goes on where it was stopped, and stands in
+`--references FILE`, which a record is compared with. Seconds are of fitting alone, by the clock and
+of the processor; a record wants an idle machine, and says of each row how busy it was. Rows that a
+record has of other sizes, methods and schedules stay in it. `--beside` adds what a second fit on
+the same cores costs.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import json
 import multiprocessing
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -45,7 +47,7 @@ from deblur_avatar.pipeline.preprocess import PreprocessParams, preprocess
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.params import RecipeParams
-from deblur_avatar.training.resume import RunFolder
+from deblur_avatar.training.resume import RunFolder, run_key
 from deblur_avatar.training.schedule import PAPER_ITERATIONS, ScheduleParams
 
 PARAMS = Path("params.yaml")
@@ -92,9 +94,21 @@ def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
 
 
 def fitted(
-    observations: Observations, method: str, schedule: ScheduleParams, moments: frozenset[int]
+    observations: Observations,
+    method: str,
+    schedule: ScheduleParams,
+    moments: frozenset[int],
+    place: Path | None = None,
 ) -> list[Kept]:
-    """Fit one method, and keep avatars after some iterations and at the end."""
+    """Fit one method, and keep avatars after some iterations and at the end.
+
+    Args:
+        observations: of the person.
+        method: its name.
+        schedule: how long, and how large.
+        moments: the iterations after which avatars are kept.
+        place: a folder in which a fit that was stopped goes on; its seconds are those since then.
+    """
     recipe = load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams)
     params = load_params(PARAMS, f"methods.{method}", MethodParams)
     clocks: dict[int, tuple[float, float]] = {}
@@ -103,14 +117,15 @@ def fitted(
     def watch(iteration: int, terms: Mapping[str, float]) -> None:
         clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
 
-    with TemporaryDirectory() as there:
+    with TemporaryDirectory() if place is None else nullcontext(place) as there:
+        key = run_key(0, [recipe, params, schedule], [])
         generator = torch.Generator().manual_seed(0)
         common = {"device": CPU, "generator": generator, "report": watch}
 
         def folder(stage: str) -> RunFolder:
             path = Path(there) / stage
-            path.mkdir()
-            return RunFolder(path, "time_to_quality", moments)
+            path.mkdir(parents=True, exist_ok=True)
+            return RunFolder(path, key, moments)
 
         avatar, checkpoint, _ = warm_up(
             observations, recipe, schedule, folder=folder("warmup"), **common
@@ -224,7 +239,9 @@ def reference_of(method: str, size: int, folder: Path) -> float:
     ends = {"warmup": 3000, "trajectory": 7000, "fusion": PAPER_ITERATIONS}
     whole = schedule.model_copy(update={**ends, "levels": ()})
     observations, reference = filmed(size, folder)
-    return psnr_seen(observations, reference, fitted(observations, method, whole, frozenset())[-1])
+    place = folder / f"{SCENE}_{size}_{method}_reference"
+    kept = fitted(observations, method, whole, frozenset(), place)
+    return psnr_seen(observations, reference, kept[-1])
 
 
 def _fit_for_a_while(folder: Path) -> float:

@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from benchmarks import time_to_quality as module
 from benchmarks.time_to_quality import Kept, fitted, row_of, with_rows
+from deblur_avatar.training import trainer
 from deblur_avatar.training.schedule import ScheduleParams
 
 ROOT = Path(__file__).parents[2]
@@ -27,6 +29,26 @@ def test_avatars_are_kept_on_the_way_with_what_they_took(filmed):
     assert seconds == sorted(seconds)
     assert seconds[0] > 0
     assert all(one.processor_seconds > 0 for one in kept)
+
+
+def test_a_reference_that_was_stopped_goes_on_and_ends_with_the_same_avatar(
+    monkeypatch, filmed, tmp_path, caplog
+):
+    monkeypatch.setattr(module.RunFolder, "due", lambda folder: True)
+    monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 2)
+    whole = fitted(filmed, "lean", SCHEDULE, frozenset())[-1].avatar
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as on_the_way:
+        on_the_way.setattr(module, "fuse", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            fitted(filmed, "lean", SCHEDULE, frozenset(), tmp_path)
+    caplog.set_level("INFO")
+    again = fitted(filmed, "lean", SCHEDULE, frozenset(), tmp_path)[-1].avatar
+    assert "going on after iteration 7" in caplog.text
+    assert torch.equal(again.means, whole.means)
 
 
 def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkeypatch, filmed):
