@@ -56,7 +56,7 @@ def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkey
     moments = [Kept(float(s), 2.0 * s, kept[0].avatar, kept[0].motion) for s in (1, 2, 3)]
     scores = iter([15.0, 15.9, 16.2])
     monkeypatch.setattr(module, "filmed", lambda size, folder: (filmed, None))
-    monkeypatch.setattr(module, "fitted", lambda *_: moments)
+    monkeypatch.setattr(module, "fitted", lambda *_, **__: moments)
     monkeypatch.setattr(module, "psnr_seen", lambda *_: next(scores))
     row = row_of("lean", 512, Path(), {"studio-512-lean": 16.05}, "large")
     assert row["seconds_to_within_0.2_db"] == 2.0
@@ -73,6 +73,13 @@ def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkey
     assert (unknown["reference_psnr_seen"], unknown["seconds_to_within_0.2_db"]) == (None, None)
 
 
+def test_another_seed_fits_another_avatar(filmed):
+    first, second = (
+        fitted(filmed, "lean", SCHEDULE, frozenset(), seed=seed)[-1] for seed in (0, 1)
+    )
+    assert not torch.equal(first.avatar.means, second.avatar.means)
+
+
 def test_sizes_have_schedules_of_their_height():
     for size, name in module.SCHEDULES.items():
         schedule = module.load_params(module.PARAMS, f"schedules.{name}", ScheduleParams)
@@ -85,6 +92,8 @@ def test_new_rows_take_the_place_of_old_ones_of_the_same_size_and_method():
     record = with_rows({}, [lean | {"final": 1}, longer, paper], 1.2)
     record = with_rows(record, [lean | {"final": 2}], None)
     assert record["rows"] == [paper, longer, lean | {"final": 2}]
+    again = lean | {"seed": 1}
+    assert with_rows(record, [again], None)["rows"] == [paper, longer, lean | {"final": 2}, again]
     assert record["beside_another"] == 1.2
     assert with_rows(record, [], 1.1)["beside_another"] == 1.1
 
