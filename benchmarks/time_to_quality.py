@@ -5,10 +5,11 @@
 films the synthetic studio at each size, fits it with the schedule of that size, and scores avatars
 kept on the way against sharp novel views (PSNR over the surface that the training camera saw). The
 reference is what a run of 15,000 iterations without levels reaches with the same settings: it takes
-an hour, is run once by `--reference`, and stands in `--references FILE`, which a record is compared
-with. Seconds are of fitting alone, by the clock and of the processor; a record wants an idle
-machine, and says of each row how busy it was. Rows that a record has of other sizes, methods and
-schedules stay in it. `--beside` adds what a second fit on the same cores costs.
+hours, is run once by `--reference`, which goes on where it was stopped, and stands in
+`--references FILE`, which a record is compared with. Seconds are of fitting alone, by the clock and
+of the processor; a record wants an idle machine, and says of each row how busy it was. Rows that a
+record has of other sizes, methods, schedules and seeds stay in it. `--beside` adds what a second
+fit on the same cores costs.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import json
 import multiprocessing
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -45,7 +47,7 @@ from deblur_avatar.pipeline.preprocess import PreprocessParams, preprocess
 from deblur_avatar.pipeline.trajectory import fit_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.params import RecipeParams
-from deblur_avatar.training.resume import RunFolder
+from deblur_avatar.training.resume import RunFolder, run_key
 from deblur_avatar.training.schedule import PAPER_ITERATIONS, ScheduleParams
 
 PARAMS = Path("params.yaml")
@@ -92,9 +94,23 @@ def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
 
 
 def fitted(
-    observations: Observations, method: str, schedule: ScheduleParams, moments: frozenset[int]
+    observations: Observations,
+    method: str,
+    schedule: ScheduleParams,
+    moments: frozenset[int],
+    place: Path | None = None,
+    seed: int = 0,
 ) -> list[Kept]:
-    """Fit one method, and keep avatars after some iterations and at the end."""
+    """Fit one method, and keep avatars after some iterations and at the end.
+
+    Args:
+        observations: of the person.
+        method: its name.
+        schedule: how long, and how large.
+        moments: the iterations after which avatars are kept.
+        place: a folder in which a fit that was stopped goes on; its seconds are those since then.
+        seed: of its draws.
+    """
     recipe = load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams)
     params = load_params(PARAMS, f"methods.{method}", MethodParams)
     clocks: dict[int, tuple[float, float]] = {}
@@ -103,14 +119,15 @@ def fitted(
     def watch(iteration: int, terms: Mapping[str, float]) -> None:
         clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
 
-    with TemporaryDirectory() as there:
-        generator = torch.Generator().manual_seed(0)
+    with TemporaryDirectory() if place is None else nullcontext(place) as there:
+        key = run_key(0, [recipe, params, schedule], [])
+        generator = torch.Generator().manual_seed(seed)
         common = {"device": CPU, "generator": generator, "report": watch}
 
         def folder(stage: str) -> RunFolder:
             path = Path(there) / stage
-            path.mkdir()
-            return RunFolder(path, "time_to_quality", moments)
+            path.mkdir(parents=True, exist_ok=True)
+            return RunFolder(path, key, moments)
 
         avatar, checkpoint, _ = warm_up(
             observations, recipe, schedule, folder=folder("warmup"), **common
@@ -151,7 +168,7 @@ def psnr_seen(observations: Observations, reference: Reference, kept: Kept) -> f
 
 
 def row_of(
-    method: str, size: int, folder: Path, references: Mapping[str, float], name: str
+    method: str, size: int, folder: Path, references: Mapping[str, float], name: str, seed: int = 0
 ) -> dict[str, Any]:
     """Fit one method at one size, and score it on the way.
 
@@ -161,12 +178,13 @@ def row_of(
         folder: where films are kept.
         references: what a long run reaches, dB, by `<scene>-<size>-<method>`.
         name: of the schedule.
+        seed: of the fit's draws; the film and the reference have their own.
     """
     schedule = load_params(PARAMS, f"schedules.{name}", ScheduleParams)
     moments = frozenset(round(schedule.fusion * (i + 1) / MOMENTS) for i in range(MOMENTS - 1))
     observations, reference = filmed(size, folder)
     here = machine(0.0)
-    kept = fitted(observations, method, schedule, moments)
+    kept = fitted(observations, method, schedule, moments, seed=seed)
     scores = [psnr_seen(observations, reference, one) for one in kept]
     wanted = references.get(f"{SCENE}-{size}-{method}")
     good = [
@@ -180,6 +198,7 @@ def row_of(
         "gaussians": len(kept[-1].avatar.means),
         "method": method,
         "schedule": name,
+        "seed": seed,
         "iterations": schedule.fusion,
         "seconds_to_within_0.2_db": good[0].seconds if good else None,
         "processor_seconds_to_within_0.2_db": good[0].processor_seconds if good else None,
@@ -196,7 +215,7 @@ def row_of(
 def with_rows(
     known: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], beside: float | None
 ) -> dict[str, Any]:
-    """A record with these rows in place of those of the same size, method and schedule, sorted.
+    """A record with these rows in place of those of the same size, method, schedule and seed.
 
     Raises:
         SystemExit: if what is known was measured on another machine.
@@ -210,7 +229,10 @@ def with_rows(
                 "give a file of its own, --json"
             )
     all_rows = [*known.get("rows", []), *rows]
-    latest = {(row["size"], row["method"], row["schedule"]): dict(row) for row in all_rows}
+    latest = {
+        (row["size"], row["method"], row["schedule"], row.get("seed", 0)): dict(row)
+        for row in all_rows
+    }
     return {
         "machine": here,
         "rows": [row for _, row in sorted(latest.items())],
@@ -224,7 +246,9 @@ def reference_of(method: str, size: int, folder: Path) -> float:
     ends = {"warmup": 3000, "trajectory": 7000, "fusion": PAPER_ITERATIONS}
     whole = schedule.model_copy(update={**ends, "levels": ()})
     observations, reference = filmed(size, folder)
-    return psnr_seen(observations, reference, fitted(observations, method, whole, frozenset())[-1])
+    place = folder / f"{SCENE}_{size}_{method}_reference"
+    kept = fitted(observations, method, whole, frozenset(), place)
+    return psnr_seen(observations, reference, kept[-1])
 
 
 def _fit_for_a_while(folder: Path) -> float:
@@ -258,11 +282,12 @@ def main(arguments: argparse.Namespace) -> None:
     for size in arguments.sizes:
         for method in arguments.methods:
             name = arguments.schedule or SCHEDULES[size]
-            row = row_of(method, size, arguments.folder, references, name)
-            record = with_rows(record, [row], None)
-            print(json.dumps(row), flush=True)
-            if arguments.json:
-                run.write_json(arguments.json, record)
+            for seed in arguments.seeds:
+                row = row_of(method, size, arguments.folder, references, name, seed)
+                record = with_rows(record, [row], None)
+                print(json.dumps(row), flush=True)
+                if arguments.json:
+                    run.write_json(arguments.json, record)
     if arguments.beside:
         record = with_rows(record, [], beside_another(arguments.folder))
         if arguments.json:
@@ -277,6 +302,7 @@ def _arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--methods", nargs="+", choices=AVATARS, default=["lean"])
     parser.add_argument("--reference", action="store_true", help="run 15,000 iterations instead")
     parser.add_argument("--schedule", help="of params.yaml, instead of the size's own")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the fits' draws")
     parser.add_argument("--beside", action="store_true", help="measure two fits at once, too")
     parser.add_argument(
         "--references",

@@ -87,7 +87,7 @@ class Optimizers:
             for unknown, parameter in _named(optimizer):
                 prefix = f"{name}.{unknown}."
                 memory = {
-                    key.removeprefix(prefix): value.clone().to(parameter.device)
+                    key.removeprefix(prefix): _laid_out_as(parameter, value)
                     for key, value in tensors.items()
                     if key.startswith(prefix)
                 }
@@ -138,6 +138,13 @@ class Optimizers:
                 f"{self._in_a_row} of them in a row. Look at the scene's check; lower the rates of "
                 "`fitting` or the weights of `losses`"
             )
+
+
+def _laid_out_as(parameter: Tensor, value: Tensor) -> Tensor:
+    """A copy with the parameter's strides: the fused Adam goes through both in memory's order."""
+    if value.shape != parameter.shape:
+        return value.clone().to(parameter.device)
+    return torch.empty_like(parameter, requires_grad=False).copy_(value)
 
 
 def _named(optimizer: torch.optim.Optimizer) -> Iterator[tuple[str, Tensor]]:

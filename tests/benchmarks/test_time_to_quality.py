@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from benchmarks import time_to_quality as module
 from benchmarks.time_to_quality import Kept, fitted, row_of, with_rows
+from deblur_avatar.training import trainer
 from deblur_avatar.training.schedule import ScheduleParams
 
 ROOT = Path(__file__).parents[2]
@@ -29,12 +31,32 @@ def test_avatars_are_kept_on_the_way_with_what_they_took(filmed):
     assert all(one.processor_seconds > 0 for one in kept)
 
 
+def test_a_reference_that_was_stopped_goes_on_and_ends_with_the_same_avatar(
+    monkeypatch, filmed, tmp_path, caplog
+):
+    monkeypatch.setattr(module.RunFolder, "due", lambda folder: True)
+    monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 2)
+    whole = fitted(filmed, "lean", SCHEDULE, frozenset())[-1].avatar
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as on_the_way:
+        on_the_way.setattr(module, "fuse", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            fitted(filmed, "lean", SCHEDULE, frozenset(), tmp_path)
+    caplog.set_level("INFO")
+    again = fitted(filmed, "lean", SCHEDULE, frozenset(), tmp_path)[-1].avatar
+    assert "going on after iteration 7" in caplog.text
+    assert torch.equal(again.means, whole.means)
+
+
 def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkeypatch, filmed):
     kept = fitted(filmed, "lean", SCHEDULE, frozenset({6}))
     moments = [Kept(float(s), 2.0 * s, kept[0].avatar, kept[0].motion) for s in (1, 2, 3)]
     scores = iter([15.0, 15.9, 16.2])
     monkeypatch.setattr(module, "filmed", lambda size, folder: (filmed, None))
-    monkeypatch.setattr(module, "fitted", lambda *_: moments)
+    monkeypatch.setattr(module, "fitted", lambda *_, **__: moments)
     monkeypatch.setattr(module, "psnr_seen", lambda *_: next(scores))
     row = row_of("lean", 512, Path(), {"studio-512-lean": 16.05}, "large")
     assert row["seconds_to_within_0.2_db"] == 2.0
@@ -51,6 +73,13 @@ def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkey
     assert (unknown["reference_psnr_seen"], unknown["seconds_to_within_0.2_db"]) == (None, None)
 
 
+def test_another_seed_fits_another_avatar(filmed):
+    first, second = (
+        fitted(filmed, "lean", SCHEDULE, frozenset(), seed=seed)[-1] for seed in (0, 1)
+    )
+    assert not torch.equal(first.avatar.means, second.avatar.means)
+
+
 def test_sizes_have_schedules_of_their_height():
     for size, name in module.SCHEDULES.items():
         schedule = module.load_params(module.PARAMS, f"schedules.{name}", ScheduleParams)
@@ -63,6 +92,8 @@ def test_new_rows_take_the_place_of_old_ones_of_the_same_size_and_method():
     record = with_rows({}, [lean | {"final": 1}, longer, paper], 1.2)
     record = with_rows(record, [lean | {"final": 2}], None)
     assert record["rows"] == [paper, longer, lean | {"final": 2}]
+    again = lean | {"seed": 1}
+    assert with_rows(record, [again], None)["rows"] == [paper, longer, lean | {"final": 2}, again]
     assert record["beside_another"] == 1.2
     assert with_rows(record, [], 1.1)["beside_another"] == 1.1
 

@@ -10,6 +10,8 @@ from deblur_avatar.motion.frame import FrameMotion
 from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory, new_trajectory
 from deblur_avatar.pipeline.warmup import warm_up
+from deblur_avatar.training import resume, trainer
+from deblur_avatar.training.resume import run_folder
 
 pytestmark = pytest.mark.portable
 
@@ -43,11 +45,11 @@ def warm(observations, recipe, schedule):
 
 @pytest.fixture
 def go_on(observations, recipe, schedule, warm):
-    def run(params, report=quiet):
+    def run(params, report=quiet, folder=None):
         torch.manual_seed(1)
         return fit_trajectory(
             observations, *warm, recipe, params, schedule, device=CPU,
-            generator=torch.Generator().manual_seed(1), report=report,
+            generator=torch.Generator().manual_seed(1), report=report, folder=folder,
         )  # fmt: skip
 
     return run
@@ -119,6 +121,31 @@ def test_new_trajectories_start_from_the_given_poses(observations, method):
     for trajectory in (pair, frame):
         expected = axis_angle_to_matrix(observations.poses.axis_angle[1])
         torch.testing.assert_close(trajectory(1).centre_rotations, expected, atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("name", ["agnostic", "paper", "lean", "mad", "learned"])
+def test_a_motion_that_was_stopped_ends_with_the_same_bytes(
+    go_on, method, name, schedule, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(resume, "SAVE_EVERY_S", 0.0)
+    monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 2)
+
+    def stop(iteration, terms):
+        if iteration == schedule.trajectory - 1:
+            raise KeyboardInterrupt
+
+    avatar, motion, memory, _ = go_on(method(name))
+    with pytest.raises(KeyboardInterrupt), run_folder(tmp_path / "item", "key", frozenset()) as run:
+        go_on(method(name), stop, run)
+    with run_folder(tmp_path / "item", "key", frozenset()) as run:
+        assert run.progress is not None
+        assert schedule.warmup < run.progress.iteration < schedule.trajectory
+        again, same, remembered, _ = go_on(method(name), folder=run)
+    assert torch.equal(again.means, avatar.means)
+    for key, value in motion.parameters.items():
+        assert torch.equal(same.parameters[key], value), key
+    for key, value in memory.tensors.items():
+        assert torch.equal(remembered.tensors[key], value), key
 
 
 def test_an_estimated_shutter_comes_with_its_uncertainty(go_on, method, observations):
