@@ -33,7 +33,7 @@ repro: code
 avatar: code
 	$(if $(VIDEO),,$(error make avatar needs a video: make avatar VIDEO=clip.mp4))
 	$(BIN)/deblur-avatar video "$(VIDEO)" --name "$(NAME)" \
-	  --method $(or $(METHOD),lean) --schedule $(or $(SCHEDULE),large)
+	  --method $(or $(METHOD),lean) $(if $(SCHEDULE),--schedule $(SCHEDULE))
 
 # Says whether scenes are fit for training: data/check/<scene>/index.html. One of them: SCENE=studio.
 check: code

@@ -21,6 +21,7 @@ PAGE = "avatar.html"
 BODY, PLAIN = "anny", "plain"
 ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
 DEFAULT_AVATAR = "paper"
+DEFAULT_SCHEDULE = "large"
 ADDED_TO = (
     "warmups",
     "runs",
@@ -35,14 +36,14 @@ HEADER = """\
 """
 
 
-def prepare(video: Path, name: str, method: str, schedule: str, here: Path) -> Home:
+def prepare(video: Path, name: str, method: str, schedule: str | None, here: Path) -> Home:
     """Write an avatar's parameters, unless they are there, and its pipeline.
 
     Args:
         video: a video file or a folder of pictures.
         name: of the avatar; letters, digits and `_`.
         method: a row of the tables.
-        schedule: of `params.yaml`.
+        schedule: of `params.yaml`; None: what the avatar's file says, `large` in a new one.
         here: where the command was started.
 
     Raises:
@@ -56,7 +57,7 @@ def prepare(video: Path, name: str, method: str, schedule: str, here: Path) -> H
     shared = read_params(source)
     for kind, key in (("method", method), ("schedule", schedule)):
         known = section_of(shared, source, f"{kind}s", dict)
-        if key not in known:
+        if key is not None and key not in known:
             raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
     recipes = section_of(shared, source, "avatars", dict)
     recipe = method if method in recipes else DEFAULT_AVATAR  # of methods without one of their own
@@ -67,7 +68,8 @@ def prepare(video: Path, name: str, method: str, schedule: str, here: Path) -> H
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
     kind = section_of(shared, source, f"avatars.{recipe}.model.kind", str)
-    content = _with_method(content, name, method, recipe, kind) | {"schedule": schedule}
+    content = _with_method(content, name, method, recipe, kind)
+    content |= {} if schedule is None else {"schedule": schedule}
     if home.independent:
         content["bodies"] = {BODY: section_of(shared, source, f"bodies.{BODY}", dict)} | content[
             "bodies"
@@ -122,7 +124,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
     }
     return {
         "seed": 0,
-        "schedule": "large",
+        "schedule": DEFAULT_SCHEDULE,
         "scenes": {name: scene},
         "warmups": {},
         "runs": {},

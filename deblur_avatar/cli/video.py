@@ -26,6 +26,7 @@ import shutil
 from pathlib import Path
 
 from deblur_avatar.cli.avatar_params import BODY, PAGE, name_of, prepare
+from deblur_avatar.cli.footage_contents import followed_footage
 from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.run_on_disk import RunOnDisk
 from deblur_avatar.cli.running_dvc import reproduce
@@ -54,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", default="", help="of the avatar; default: after the file")
     parser.add_argument("--method", default="lean", help="a row of the tables (default: lean)")
     parser.add_argument(
-        "--schedule", default="large",
-        help="short, medium: 192 pixels; large (default), fine (longer): 512; huge: 1024; "
-        "full: the paper's",
+        "--schedule",
+        help="short, medium: 192 pixels; large (default, unless the avatar's file says another), "
+        "fine (longer): 512; huge: 1024; full: the paper's",
     )  # fmt: skip
     parser.add_argument(
         "--preview", action="store_true", help="show a first avatar early, while the rest is fitted"
@@ -80,8 +81,10 @@ def run(asked: argparse.Namespace) -> int:
     run = f"{name}-{asked.method}"
     sharing = home.independent and not asked.own_body  # a checkout's avatars share one anyway
     code = make_body(home.folder, BODY) if sharing else 0
-    code = code or (_first_look(home, run) if asked.preview else 0)
-    code = code or reproduce(*targets(name, asked.method), folder=home.folder)
+    if code == 0:
+        with followed_footage(home.folder, name) as code:
+            code = code or (_first_look(home, run) if asked.preview else 0)
+            code = code or reproduce(*targets(name, asked.method), folder=home.folder)
     if code == 0:
         _show(home, name, run)
     return code
@@ -153,5 +156,7 @@ def _tell_verdict(path: Path) -> None:
         logger.warning("FAILED: %s", sentence)
     if failed:
         logger.warning("The avatar FAILS its self-check: do not trust what it shows.")
+    elif content["verdict"] == "unknown":
+        logger.warning("The self-check could measure nothing: look before you trust what it shows.")
     else:
         logger.info("The avatar passes its self-check (%s).", content["verdict"])

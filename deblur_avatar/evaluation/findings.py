@@ -4,6 +4,7 @@ Verdicts are `ok`, `warn`, `fail`, and `unknown` where the number could not be m
 """
 
 import logging
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +38,11 @@ class Scale(NamedTuple):
 
 
 def judged(scale: Scale, value: float | None) -> Finding:
-    """Give a number its verdict and advice."""
+    """Give a number its verdict and advice; what is no number (NaN) fails, as nothing passes it."""
     if value is None:
         return Finding(None, scale.unit, "unknown", "")
+    if math.isnan(value):
+        return Finding(None, scale.unit, "fail", scale.advice)
     rising = scale.fail is not None and scale.fail > scale.ok
     falls = not rising
     good = value >= scale.ok if falls else value <= scale.ok
@@ -50,9 +53,9 @@ def judged(scale: Scale, value: float | None) -> Finding:
 
 
 def worst(verdicts: Iterable[str]) -> str:
-    """`fail` before `warn` before `ok`."""
+    """`fail` before `warn` before `ok`; `unknown` where nothing could be measured."""
     given = set(verdicts)
-    return next((verdict for verdict in ("fail", "warn") if verdict in given), "ok")
+    return next((verdict for verdict in ("fail", "warn", "ok") if verdict in given), "unknown")
 
 
 def tell(what: str, content: Mapping[str, Any]) -> None:
@@ -60,8 +63,8 @@ def tell(what: str, content: Mapping[str, Any]) -> None:
     for name, finding in content["findings"].items():
         if finding["verdict"] in ("warn", "fail"):
             logger.warning(
-                "%s %s: %s %.3g %s. %s", finding["verdict"].upper(), what, name.replace("_", " "),
-                finding["value"], finding["unit"], finding["advice"],
+                "%s %s: %s %s %s. %s", finding["verdict"].upper(), what, name.replace("_", " "),
+                _said(finding["value"], 3), finding["unit"], finding["advice"],
             )  # fmt: skip
     logger.info("check %s: %s", what, content["verdict"])
 
@@ -69,11 +72,15 @@ def tell(what: str, content: Mapping[str, Any]) -> None:
 def failures(content: Mapping[str, Any]) -> list[str]:
     """What failed, a sentence each: the finding, its number, what to do."""
     return [
-        f"{name.replace('_', ' ').capitalize()}: {finding['value']:.2g} ({finding['unit']}). "
+        f"{name.replace('_', ' ').capitalize()}: {_said(finding['value'], 2)} ({finding['unit']}). "
         f"{finding['advice']}"
         for name, finding in content["findings"].items()
         if finding["verdict"] == "fail"
     ]
+
+
+def _said(value: float | None, digits: int) -> str:
+    return "no number" if value is None else f"{value:.{digits}g}"
 
 
 def read_findings(path: Path) -> dict[str, Any]:

@@ -132,6 +132,7 @@ class ClipMotion(Trajectory):
         self._pixels_per_pose = 0.0
         self._max_samples = len(u)
         self._initial_depths: dict[int, Tensor] = {}  # by frame
+        self._estimated_shutter = estimate_shutter
         self.register_buffer("u", u, persistent=False)
         self.register_buffer("middles", middles)
         self.register_buffer("guess", guess)
@@ -209,6 +210,7 @@ class ClipMotion(Trajectory):
         tensors = (saved[name].clone() for name in names)
         trajectory = cls(motion.u, *tensors, estimate_shutter=False)
         trajectory.load_state_dict({name: saved[name] for name in trajectory.state_dict()})
+        trajectory._estimated_shutter = motion.shutter is not None
         return trajectory
 
     @property
@@ -251,7 +253,7 @@ class ClipMotion(Trajectory):
 
     def estimated_shutter(self, timestamps: Float[Tensor, " F"]) -> float | None:
         """How long the shutter was open, seconds, where that was an unknown of the motion."""
-        if not self.log_shutter.requires_grad:
+        if not self._estimated_shutter:
             return None
         spacing = (timestamps[-1] - timestamps[0]) / (self.middles[-1] - self.middles[0])
         return float(self.shutter.detach() * spacing)

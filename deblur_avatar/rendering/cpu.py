@@ -189,7 +189,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.mark_non_differentiable(work["radii"])
         if frame.keep:
             tensors = (inputs[name] for name in ("means", "covars", "opacities", "colors"))
-            ctx.save_for_backward(*tensors, background, alpha)
+            ctx.save_for_backward(*tensors, inputs["background"], alpha)
             ctx.frame, ctx.screen = frame, screen
             ctx.inputs, ctx.work = (inputs["viewmat"], inputs["K"]), work
         return image, alpha, depths, work["radii"]

@@ -41,9 +41,15 @@ def pose_gaussians(
 
     The blended rotation is not made orthonormal again: covariances stretch as the skin does.
 
+    Raises:
+        ValueError: if there are other factors or weights than means, or other joints than weights.
+
     Source: 3DGS-Avatar, Qian et al., CVPR 2024, eq. 6-7.
     """
-    if means.device.type == "cpu" and means.dtype == torch.float32 and _library() is not None:
+    given = (means, covariance_factors, lbs_weights, transforms)
+    alike = all(one.device.type == "cpu" and one.dtype == torch.float32 for one in given)
+    if alike and _library() is not None:
+        _check_shapes(*given)
         return _Posing.apply(means, covariance_factors, lbs_weights, transforms)
     return pose_gaussians_reference(means, covariance_factors, lbs_weights, transforms)
 
@@ -60,6 +66,18 @@ def pose_gaussians_reference(
     posed = (rotation * means[:, None, :]).sum(-1) + shift
     turned = (rotation[..., :, :, None] * covariance_factors[:, None, :, :]).sum(-2)
     return posed, covariances_reference(turned)
+
+
+def _check_shapes(
+    means: Tensor, covariance_factors: Tensor, lbs_weights: Tensor, transforms: Tensor
+) -> None:
+    count, joints = len(means), transforms.shape[1]
+    if covariance_factors.shape != (count, 3, 3) or lbs_weights.shape != (count, joints):
+        raise ValueError(
+            f"{count} means and {joints} joints' transforms want covariance_factors {count, 3, 3} "
+            f"and lbs_weights {count, joints}, not {tuple(covariance_factors.shape)} "
+            f"and {tuple(lbs_weights.shape)}"
+        )
 
 
 class _Posing(torch.autograd.Function):

@@ -137,7 +137,8 @@ def _landmarks(params: MonocularParams, footage: Footage) -> Float[Tensor, "1 F 
     people = read_keypoints(path)
     wanted = footage.total or max(footage.numbers) + 1
     # COCO's lists end with the last frame in which someone was found.
-    if len(people) > wanted or (path.is_dir() and len(people) != wanted):
+    too_many = footage.total is not None and len(people) > wanted  # else who knows how many
+    if too_many or (path.is_dir() and len(people) < wanted):
         raise ArtifactError(
             f"{path} is of {len(people)} frames, the footage of {wanted}; give one entry for each "
             "frame of the file, counted from 0"

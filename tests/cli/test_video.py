@@ -78,6 +78,16 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     }  # fmt: skip
 
 
+def test_a_schedule_that_the_user_wrote_stays_until_another_is_asked_for(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", None, root).folder / "params.yaml"
+    assert content(path)["schedule"] == "large"
+    path.write_text(path.read_text().replace("schedule: large", "schedule: huge"))
+    prepare(video, "anna", "lean", None, root)
+    assert content(path)["schedule"] == "huge"
+    prepare(video, "anna", "lean", "medium", root)
+    assert content(path)["schedule"] == "medium"
+
+
 def test_one_name_is_one_video(root: Path, video: Path):
     prepare(video, "anna", "lean", "medium", root)
     other = write_video(root / "b.mp4", [picture(index) for index in range(3)])
@@ -181,6 +191,50 @@ def test_the_check_comes_before_the_training(root, video, monkeypatch):
     assert pipeline.asked == ["check@anna", made]
 
 
+def test_another_film_or_masks_of_the_same_name_are_read_again(root, video, monkeypatch, caplog):
+    monkeypatch.chdir(root)
+    folder, words = Path("avatars/anna"), ["video", str(video), "--name", "anna"]
+    prepare(video, "anna", "lean", None, root)
+    masks = root / "masks"
+    masks.mkdir()
+    (masks / "0.png").write_bytes(b"rough")
+    params = folder / "params.yaml"
+    params.write_text(params.read_text().replace("masks: null", f"masks: {masks}"))
+
+    def stopped(word):
+        (folder / "data/clip/anna").mkdir(parents=True, exist_ok=True)
+        return 3 if word == "evaluate@anna-lean" else 0
+
+    def asked():
+        pipeline = Pipeline(monkeypatch, stopped)
+        assert main(words) == 3
+        return pipeline.asked
+
+    again = "--force --single-item clip@anna"
+    assert again not in asked()  # there is none yet
+    assert again not in asked()  # and now it is the same
+    (masks / "0.png").write_bytes(b"better")
+    assert asked()[0] == again
+    assert again not in asked()
+    write_video(video, [picture(index) for index in (2, 1, 0)])
+    caplog.clear()
+    with caplog.at_level(logging.INFO):
+        assert asked()[0] == again
+    assert "The footage of anna may have changed" in caplog.text
+    (folder / "data/.anna.footage.json").unlink()  # as of a version that kept none
+    assert asked()[0] == again
+
+
+def test_what_could_not_be_read_again_is_read_again_the_next_time(root, video, monkeypatch):
+    monkeypatch.chdir(root)
+    folder, words = Path("avatars/anna"), ["video", str(video), "--name", "anna"]
+    (folder / "data/clip/anna").mkdir(parents=True)
+    for _ in range(2):
+        pipeline = Pipeline(monkeypatch, lambda word: 5)
+        assert main(words) == 5
+        assert pipeline.asked == ["--force --single-item clip@anna"]
+
+
 @pytest.mark.parametrize("words", [[], ["--own-body"]])
 def test_far_from_a_checkout_the_users_other_folders_are_asked_for_a_body(
     video, tmp_path_factory, monkeypatch, words
@@ -230,7 +284,13 @@ def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("value", "last"), [(0.9, "The avatar passes its self-check"), (0.1, "The avatar FAILS")]
+    ("value", "last"),
+    [
+        (0.9, "The avatar passes its self-check"),
+        (0.1, "The avatar FAILS"),
+        (float("nan"), "The avatar FAILS"),
+        (None, "The self-check could measure nothing"),
+    ],
 )
 @pytest.mark.parametrize("checkout", [True, False])
 def test_the_self_check_has_the_last_word(
@@ -257,7 +317,7 @@ def test_the_self_check_has_the_last_word(
     assert pipeline.folders == {folder}
     assert pipeline.asked[-1] == "--single-item report"
     assert caplog.messages[-1].startswith(last)
-    assert ("look at the masks" in caplog.text) == (value < 0.5)
+    assert ("look at the masks" in caplog.text) == ("FAILS" in last)
     assert (folder / "avatar.html").read_text() == "anna-lean"
     assert f"Turn it by hand: {folder}/avatar.html" in caplog.messages
 

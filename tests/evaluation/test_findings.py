@@ -12,6 +12,7 @@ from deblur_avatar.evaluation.findings import (
     tell,
     worst,
 )
+from deblur_avatar.run import write_json
 
 FALLING = Scale(0.75, 0.5, "IoU", "look at the masks")
 RISING = Scale(0.15, 0.45, "share", "use a shorter exposure")
@@ -39,7 +40,20 @@ def test_advice_comes_with_what_is_not_ok_alone():
 def test_the_worst_verdict_counts():
     assert worst(["ok", "warn", "fail"]) == "fail"
     assert worst(["ok", "unknown", "warn"]) == "warn"
-    assert worst(["unknown"]) == "ok"
+    assert worst(["ok", "unknown"]) == "ok"
+    assert worst(["unknown"]) == worst([]) == "unknown"  # nobody has looked
+
+
+@pytest.mark.parametrize("scale", [FALLING, RISING, NEVER_FAILS])
+def test_no_number_fails_and_is_told_as_such(scale, caplog, tmp_path):
+    finding = judged(scale, float("nan"))
+    assert (finding.value, finding.verdict, finding.advice) == (None, "fail", scale.advice)
+    content = {"verdict": worst([finding.verdict]), "findings": {"mask_iou": vars(finding)}}
+    tell("anna", content)
+    assert f"FAIL anna: mask iou no number {scale.unit}. {scale.advice}" in caplog.messages
+    write_json(tmp_path / "anna.json", content)
+    told = failures(read_findings(tmp_path / "anna.json"))
+    assert told == [f"Mask iou: no number ({scale.unit}). {scale.advice}"]
 
 
 def test_what_is_bad_is_told_loudly_and_what_is_well_is_not(caplog):

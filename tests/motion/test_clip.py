@@ -141,6 +141,9 @@ def test_how_far_an_estimated_shutter_was_is_remembered_until_it_is_settled():
     assert float(motion.state_dict()["halfway"]) == pytest.approx(0.3)
     settled = trajectory_from_artifact(motion.to_artifact(poses.betas, times))
     assert "halfway" not in settled.state_dict()
+    assert not settled.log_shutter.requires_grad
+    found = settled.to_artifact(poses.betas, times).shutter  # what a later stage saves
+    assert found == pytest.approx(2 / 60 * math.exp(0.3), rel=1e-4)
     torch.testing.assert_close(settled(7).transl, motion(7).transl)
 
 

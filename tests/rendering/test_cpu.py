@@ -168,6 +168,22 @@ def test_memory_layout_is_invisible(make_scene):
         assert torch.equal(value, expected[name]), name
 
 
+@pytest.mark.parametrize("lay_out", [lambda t: t[:1].expand(3), lambda t: t.repeat(2)[::2]])
+def test_a_background_in_any_layout_lives_until_gradients_are_taken(make_scene, lay_out):
+    scene, grads = make_scene(), []
+    for strided in (True, False):
+        tensors = scene._tensors(F32)
+        background = lay_out(tensors["background"])
+        tensors["background"] = background if strided else background.contiguous()
+        tensors["opacities"].requires_grad_()
+        image = scene._call("cpu", tensors).image
+        kept = [torch.full((3,), 1e6) for _ in range(2000)]  # take what was given back
+        image.sum().backward()
+        assert kept
+        grads.append(tensors["opacities"].grad)
+    assert torch.equal(*grads)
+
+
 def test_expanded_gradients_are_understood(make_scene):
     scene = make_scene()
     tensors = {name: t.requires_grad_() for name, t in scene._tensors(F32).items()}

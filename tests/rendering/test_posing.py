@@ -92,6 +92,26 @@ def test_tensors_need_not_be_contiguous():
         assert torch.equal(one, two)
 
 
+def test_one_tensor_of_another_precision_is_never_read_as_float32():
+    means, covariance_factors, weights, transforms = (value.detach() for value in scene(30, 2))
+    _, wanted = pose_gaussians(means, covariance_factors, weights, transforms)
+    _, found = pose_gaussians(means, covariance_factors.double(), weights, transforms)
+    torch.testing.assert_close(found.float(), wanted)
+    for mixed in ((weights.double(), transforms), (weights, transforms.double())):
+        with pytest.raises(RuntimeError, match="expected scalar type"):
+            pose_gaussians(means, covariance_factors, *mixed)
+
+
+@pytest.mark.parametrize("which", [1, 2, 3])
+def test_tensors_that_do_not_fit_each_other_are_refused(which):
+    """Also where shapes are not checked at every call, since the kernel reads past the shorter."""
+    inputs = [value.detach() for value in scene(30, 2)]
+    posing._check_shapes(*inputs)
+    inputs[which] = inputs[which][:, :22] if which == 3 else inputs[which][:29]
+    with pytest.raises(ValueError, match="30 means and 2. joints' transforms want"):
+        posing._check_shapes(*inputs)
+
+
 def test_the_rest_pose_moves_nothing():
     means, covariance_factors, weights, _ = scene(20, 1)
     still = torch.eye(4).expand(3, JOINTS, 4, 4)

@@ -122,6 +122,24 @@ def test_keypoints_of_another_length_are_refused(body: Body, video: Path, tmp_pa
         load(body, video, keypoints=str(tmp_path / "k"))
 
 
+def test_keypoints_of_the_whole_file_serve_a_part_of_it(body: Body, video: Path, tmp_path: Path):
+    """Reading stops at the part's end, so that nobody knows how long the file is."""
+    people = [openpose(points(25, 20 + index, 20)) for index in range(COUNT)]
+    (tmp_path / "k.json").write_text(json.dumps(people))
+    (tmp_path / "k").mkdir()
+    for index, one in enumerate(people):
+        (tmp_path / "k" / f"{index}.json").write_text(json.dumps(one))
+    for name in ("k.json", "k"):
+        clip, _ = load(body, video, keypoints=str(tmp_path / name), frames=(1, 4))
+        assert clip.landmarks is not None
+        assert clip.landmarks[0, :, 0, 0].tolist() == pytest.approx([10.5, 11, 11.5])
+    (tmp_path / "k" / "3.json").unlink()
+    (tmp_path / "k" / "4.json").unlink()
+    (tmp_path / "k" / "5.json").unlink()
+    with pytest.raises(ArtifactError, match="is of 3 frames, the footage of 4"):
+        load(body, video, keypoints=str(tmp_path / "k"), frames=(1, 4))
+
+
 def test_keypoints_of_nobody_or_of_another_size_are_refused(
     body: Body, video: Path, tmp_path: Path
 ):

@@ -1,0 +1,73 @@
+"""Footage contents: whether the files that a scene names are still those its clip was made of.
+
+DVC follows parameters and what stages make. A user's own files lie anywhere and are named by their
+path alone: another film under the same name, or better masks in the same folder, would change
+nothing. So their digests are kept beside what was made of them.
+"""
+
+import hashlib
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from deblur_avatar.cli.homes import PARAMS
+from deblur_avatar.cli.running_dvc import reproduce
+from deblur_avatar.config.reading import expand_environment, load_params
+from deblur_avatar.errors import ArtifactError
+from deblur_avatar.run import read_json, write_json
+
+logger = logging.getLogger(__name__)
+
+NAMED = ("path", "keypoints", "masks", "poses")  # of `clip`
+
+
+@contextmanager
+def followed_footage(folder: Path, scene: str) -> Iterator[int]:
+    """Make a scene's clip again, if it is there and its files changed; remember them at the end.
+
+    Gives DVC's exit code. They are remembered however what goes on ends, if a clip was made.
+    """
+    found = contents_of(folder, scene)
+    record, made = folder / "data" / f".{scene}.footage.json", folder / "data/clip" / scene
+    code = 0
+    if made.exists() and _known(record) != found:
+        logger.info("The footage of %s may have changed since it was read: it is read again", scene)
+        code = reproduce(["--force", "--single-item", f"clip@{scene}"], folder=folder)
+    try:
+        yield code
+    finally:
+        if code == 0 and made.exists():
+            write_json(record, found)
+
+
+def contents_of(folder: Path, scene: str) -> dict[str, str]:
+    """SHA-256 of each file and folder that a scene's `clip` names and that is there, by key.
+
+    Raises:
+        ArtifactError: if one of them cannot be read.
+    """
+    clip = load_params(folder / PARAMS, f"scenes.{scene}.clip", dict)
+    named = {key: clip[key] for key in NAMED if isinstance(clip.get(key), str)}
+    paths = {key: Path(expand_environment(text, f"clip.{key}")) for key, text in named.items()}
+    return {key: _digest(path) for key, path in paths.items() if path.exists()}
+
+
+def _known(record: Path) -> dict[str, str] | None:
+    try:
+        return read_json(record)
+    except ArtifactError:
+        return None
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    inside = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+    try:
+        for one in inside:
+            digest.update(f"{one.relative_to(path)} {one.stat().st_size}\n".encode())
+            with one.open("rb") as file:
+                digest.update(hashlib.file_digest(file, "sha256").digest())
+    except OSError as error:
+        raise ArtifactError(f"{path} cannot be read: {error.strerror}") from error
+    return digest.hexdigest()
