@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from deblur_avatar.imaging.backgrounds import background_of
-from tests.imaging.moving_camera import filmed
+from deblur_avatar.imaging.matting import Plate
+from tests.imaging.moving_camera import filmed, turned
 
 
 def test_a_camera_that_stands_still_has_one_plate():
@@ -23,6 +24,24 @@ def test_a_camera_that_turns_has_a_plate_for_each_frame():
     assert found.kind == "aligned"
     assert found.plates is not None
     assert len(found.plates) == len(found.distinct) == len(frames)
+
+
+@pytest.mark.parametrize(("degrees", "zoom"), [(3.0, 1.0), (0.0, 1.06)])
+def test_a_camera_that_rolls_or_zooms_has_a_plate_for_each_frame(degrees: float, zoom: float):
+    frames, mattes, behind = filmed(24, camera=turned(24, degrees, zoom))
+    found = background_of("auto", frames, mattes)
+    assert found.kind == "aligned"
+    assert found.plates is not None
+    assert _plate_error(found.plates, behind) < 2
+
+
+def _plate_error(plates: list[Plate], behind: torch.Tensor) -> float:
+    """Mean difference from the true background where the plates are known, codes of 255."""
+    apart = [
+        (plate.picture.float() - true.float()).abs()[plate.known]
+        for plate, true in zip(plates, behind, strict=True)
+    ]
+    return float(torch.cat(apart).mean())
 
 
 def test_a_background_that_cannot_be_measured_is_never_taken_for_the_person(
