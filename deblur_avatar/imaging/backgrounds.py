@@ -8,7 +8,10 @@ what its matte says. `auto` takes the first of median, aligned and matte that th
 import logging
 from typing import Literal, NamedTuple
 
-from jaxtyping import UInt8
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.aligned_plates import aligned_plates
@@ -66,8 +69,21 @@ def background_of(
     return Background("matte", [no_plate(matte) for matte in mattes])
 
 
+def matte_edge(matte: UInt8[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
+    """Where a matte goes over from the person to the background.
+
+    Its soft pixels, and both sides of wherever it jumps from nothing to full: a mask of 0 and 255
+    has no soft ones, while a matte that is soft all around has no jumps, so that its edge is its
+    soft pixels and no more.
+    """
+    alpha, around = matte.numpy(), np.ones((3, 3), np.uint8)
+    none, full = (alpha == 0).astype(np.uint8), (alpha == 255).astype(np.uint8)
+    jump = none & cv2.dilate(full, around) | full & cv2.dilate(none, around)
+    return torch.from_numpy((jump > 0) | (alpha > 0) & (alpha < 255))
+
+
 def _known_share(plates: list[Plate], mattes: UInt8[Tensor, "F H W"]) -> float:
-    """Share of the mattes' soft pixels whose background is known."""
-    edges = [(matte > 0) & (matte < 255) for matte in mattes]
+    """Share of the edges of mattes whose background is known."""
+    edges = [matte_edge(matte) for matte in mattes]
     known = sum(int(plate.known[edge].sum()) for plate, edge in zip(plates, edges, strict=True))
     return known / max(sum(int(edge.sum()) for edge in edges), 1)

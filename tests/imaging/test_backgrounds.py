@@ -3,8 +3,9 @@ import logging
 import pytest
 import torch
 
-from deblur_avatar.imaging.backgrounds import background_of
-from tests.imaging.moving_camera import filmed
+from deblur_avatar.imaging.backgrounds import background_of, matte_edge
+from deblur_avatar.imaging.matting import Plate
+from tests.imaging.moving_camera import filmed, turned
 
 
 def test_a_camera_that_stands_still_has_one_plate():
@@ -23,6 +24,48 @@ def test_a_camera_that_turns_has_a_plate_for_each_frame():
     assert found.kind == "aligned"
     assert found.plates is not None
     assert len(found.plates) == len(found.distinct) == len(frames)
+
+
+@pytest.mark.parametrize(("degrees", "zoom"), [(3.0, 1.0), (0.0, 1.06)])
+def test_a_camera_that_rolls_or_zooms_has_a_plate_for_each_frame(degrees: float, zoom: float):
+    frames, mattes, behind = filmed(24, camera=turned(24, degrees, zoom))
+    found = background_of("auto", frames, mattes)
+    assert found.kind == "aligned"
+    assert found.plates is not None
+    assert _plate_error(found.plates, behind) < 2
+
+
+def test_masks_without_soft_edges_have_an_edge_too():
+    frames, mattes, behind = filmed()
+    hard = (mattes > 0).to(torch.uint8) * 255
+    found = background_of("auto", frames, hard)
+    assert found.kind == "aligned"
+    assert found.plates is not None
+    assert _plate_error(found.plates, behind) < 8  # as in test_aligned_plates
+
+
+def test_the_edge_of_a_hard_mask_is_a_pixel_on_either_side_of_it():
+    matte = torch.zeros(7, 9, dtype=torch.uint8)
+    matte[2:, 3:] = 255
+    edge = matte_edge(matte)
+    assert edge[1:, 2:4].all()
+    assert edge[1:3, 2:].all()
+    assert int(edge.sum()) == 12 + 14 - 4
+
+
+def test_a_soft_matte_s_edge_is_its_soft_pixels():
+    mattes = filmed(3)[1]
+    for matte in mattes:
+        assert torch.equal(matte_edge(matte), (matte > 0) & (matte < 255))
+
+
+def _plate_error(plates: list[Plate], behind: torch.Tensor) -> float:
+    """Mean difference from the true background where the plates are known, codes of 255."""
+    apart = [
+        (plate.picture.float() - true.float()).abs()[plate.known]
+        for plate, true in zip(plates, behind, strict=True)
+    ]
+    return float(torch.cat(apart).mean())
 
 
 def test_a_background_that_cannot_be_measured_is_never_taken_for_the_person(
