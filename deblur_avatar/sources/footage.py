@@ -9,6 +9,7 @@ dropped, stay in the timestamps.
 import logging
 import re
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +20,10 @@ from torch import Tensor
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.sources.footage_damage import (
-    conversion_period,
+    conversion,
     evenly_respaced,
     light_drift,
+    mostly_copied,
     repeated_frames,
 )
 from deblur_avatar.sources.shots import longest_shot, shot_starts
@@ -43,12 +45,19 @@ class Footage:
     numbers: tuple[int, ...]
     total: int | None  # frames of the file, where it was read to its end
     recorded_size: tuple[int, int]  # width and height before scaling, pixels
+    converted: bool = False  # copies raised the file's frame rate: `numbers` count them, too
 
     @property
     def interval(self) -> float:
-        """Seconds from one recorded frame to the next, as a rule."""
-        steps = torch.tensor(self.numbers).diff()
-        return float((self.timestamps.diff() / steps).median())
+        """Seconds from one recorded frame to the next, as a rule.
+
+        Copies are read only where pictures are further apart than the frames that are read, so of
+        converted footage every picture is here, whatever the stride.
+        """
+        steps = self.timestamps.diff()
+        if not self.converted:
+            steps = steps / torch.tensor(self.numbers).diff()
+        return float(steps.median())
 
 
 def read_footage(
@@ -159,12 +168,16 @@ def _new_frames(read: Footage, path: Path) -> Footage:
     if len(new) < len(read.frames):
         left_out = [read.numbers[i] for i in range(len(read.frames)) if i not in set(new)]
         logger.warning("%s: %d repeated frames left out: %s", path, len(left_out), left_out[:20])
+    pictures = conversion(repeats, len(read.frames))
+    if len(new) + len(repeats) != len(read.frames):
+        pictures = None
     kept = Footage(
         frames=read.frames[new],
-        timestamps=_times_of_new(read, new, repeats, path),
+        timestamps=_times_of_new(read, new, pictures, path),
         numbers=tuple(read.numbers[index] for index in new),
         total=read.total,
         recorded_size=read.recorded_size,
+        converted=pictures is not None or mostly_copied(new),
     )
     _tell_of_gaps(kept, path)
     _tell_of_drift(kept, path)
@@ -172,19 +185,19 @@ def _new_frames(read: Footage, path: Path) -> Footage:
 
 
 def _times_of_new(
-    read: Footage, new: list[int], repeats: list[int], path: Path
+    read: Footage, new: list[int], pictures: Fraction | None, path: Path
 ) -> Float64[Tensor, " F"]:
-    """Times as the container says, or as they were before every n-th frame was put in."""
-    period = conversion_period(repeats, len(read.frames))
-    if period is None or len(new) + len(repeats) != len(read.frames):
+    """Times as the container says, or as they were before a conversion put frames in."""
+    if pictures is None:
         return read.timestamps[new]
+    copies, period = pictures.denominator - pictures.numerator, pictures.denominator
     logger.warning(
-        "%s: every %d. frame repeats the one before, so its frame rate was converted; the others "
-        "are taken to be evenly spaced",
+        "%s: %s the one before, so its frame rate was converted; the others are taken to be evenly "
+        "spaced",
         path,
-        period,
+        f"every {period}. frame repeats" if copies == 1 else f"{copies} of {period} frames repeat",
     )
-    return evenly_respaced(read.timestamps, new, period)
+    return evenly_respaced(read.timestamps, new, pictures)
 
 
 def _tell_of_gaps(kept: Footage, path: Path) -> None:

@@ -15,7 +15,7 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.sources.footage import read_footage
-from deblur_avatar.sources.footage_damage import light_drift, repeated_frames
+from deblur_avatar.sources.footage_damage import conversion, light_drift, repeated_frames
 from deblur_avatar.sources.monocular import load_monocular
 from deblur_avatar.sources.studio.sensor import expose_rows
 from tests.sources.test_monocular import nobody_asks, params
@@ -99,6 +99,70 @@ def test_24_frames_in_30_are_24_evenly_spaced_frames_again(
     assert "every 5. frame repeats the one before" in caplog.text
 
 
+def shown(frames: list[np.ndarray], times: list[int]) -> list[np.ndarray]:
+    """Each picture as often as a converted rate shows it, `times` over and over."""
+    return [frame for i, frame in enumerate(frames) for _ in range(times[i % len(times)])]
+
+
+CONVERTED = {
+    "15 in 30": ([2], 30, 15, 0.0, "every 2. frame repeats"),
+    "10 in 30": ([3], 30, 10, 0.0, "2 of 3 frames repeat"),
+    "20 in 30": ([1, 2], 30, 20, 0.0, "every 3. frame repeats"),
+    "18 in 30": ([2, 1, 2], 30, 18, 0.0, "2 of 5 frames repeat"),
+    "30 in 60, noisy": ([2], 60, 30, 2.0, "every 2. frame repeats"),
+    "20 in 60": ([3], 60, 20, 0.0, "2 of 3 frames repeat"),
+    "20 in 60, noisy": ([3], 60, 20, 2.0, "2 of 3 frames repeat"),
+    "24 in 60": ([2, 3], 60, 24, 0.0, "3 of 5 frames repeat"),
+    "24 in 60, noisy": ([2, 3], 60, 24, 4.0, "3 of 5 frames repeat"),
+    "25 in 60": ([3, 2, 2, 3, 2], 60, 25, 0.0, "7 of 12 frames repeat"),
+    "10 in 60": ([6], 60, 10, 2.0, "5 of 6 frames repeat"),
+}
+
+
+@pytest.mark.parametrize("case", CONVERTED)
+def test_a_converted_rate_is_undone_however_often_a_picture_comes(
+    body: Body, tmp_path: Path, caplog: pytest.LogCaptureFixture, case: str
+):
+    times, rate, taken, deviation, said = CONVERTED[case]
+    frames = shown(noisy(walker(20, step=1.5), deviation), times)
+    clip = load(body, write(tmp_path / "a.mp4", frames, fps=rate))
+    assert clip.frames.shape[1] == 20
+    assert clip.timestamps.tolist() == pytest.approx([i / taken for i in range(20)], abs=1e-3)
+    assert clip.exposure == pytest.approx(0.5 / taken, rel=1e-3)
+    assert f"{said} the one before, so its frame rate was converted" in caplog.text
+
+
+@pytest.mark.parametrize("stride", [2, 3])
+def test_a_stride_that_still_meets_copies_leaves_the_camera_s_interval(
+    body: Body, tmp_path: Path, stride: int
+):
+    path = write(tmp_path / "a.mp4", shown(walker(16), [4]), fps=60)
+    clip = load(body, path, stride=stride)
+    assert clip.frames.shape[1] == 16
+    assert clip.timestamps.diff().tolist() == pytest.approx([1 / 15] * 15, abs=1e-3)
+    assert clip.exposure == pytest.approx(0.5 / 15, rel=1e-3)
+
+
+def test_a_conversion_that_slips_keeps_the_container_s_times_and_the_camera_s_interval(
+    body: Body, tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    frames = shown(walker(16), [2])
+    del frames[15]
+    clip = load(body, write(tmp_path / "a.mp4", frames))
+    times = [(2 * index - (index > 7)) / 30 for index in range(16)]
+    assert clip.timestamps.tolist() == pytest.approx(times, abs=1e-4)
+    assert clip.exposure == pytest.approx(0.5 / 15, rel=1e-3)
+    assert "converted" not in caplog.text
+
+
+def test_a_still_second_of_a_converted_rate_does_not_hide_it(body: Body, tmp_path: Path):
+    walked = walker(12)
+    frames = noisy([*walked, *[walked[-1]] * 10, *walker(12, shift=30.0)], 2.0)
+    clip = load(body, write(tmp_path / "a.mp4", shown(frames, [3]), quality=18))
+    assert clip.frames.shape[1] == 34
+    assert clip.exposure == pytest.approx(0.5 / 10, rel=1e-3)
+
+
 def test_a_single_repeat_leaves_the_times_of_the_others_alone(
     body: Body, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
@@ -120,6 +184,27 @@ def test_someone_who_stands_still_for_a_while_is_not_left_out(
     kept = load(body, path).frames.shape[1]
     # Without noise an encoder may repeat to the last bit what stands perfectly still.
     assert kept == 22 if deviation else kept >= 16
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0])
+def test_a_still_second_keeps_its_frames_and_the_exposure(
+    body: Body, tmp_path: Path, caplog: pytest.LogCaptureFixture, fps: float
+):
+    walked, still = walker(16, step=1.0), round(fps)
+    frames = noisy([*walked, *[walked[-1]] * still, *walker(16, step=1.0, shift=16.0)], 4.0)
+    clip = load(body, write(tmp_path / "a.mp4", frames, fps=fps))
+    assert clip.frames.shape[1] == 32 + still
+    assert clip.exposure == pytest.approx(0.5 / fps, rel=1e-3)
+    assert "repeated" not in caplog.text
+
+
+@pytest.mark.parametrize("step", [0.2, 0.5])
+@pytest.mark.parametrize("quality", [18, 28])
+def test_slow_motion_is_no_conversion(body: Body, tmp_path: Path, step: float, quality: int):
+    frames = noisy(walker(48, step=step), 1.0)
+    clip = load(body, write(tmp_path / "a.mp4", frames, quality=quality))
+    assert clip.frames.shape[1] == 48
+    assert clip.exposure == pytest.approx(0.5 / 30, rel=1e-3)
 
 
 def test_a_frame_that_was_dropped_is_a_gap_that_is_told(
@@ -239,6 +324,17 @@ def test_4k_is_scaled_down_as_it_is_read(tmp_path: Path):
 def test_repeats_are_found_where_only_a_person_moves_and_all_else_is_still(tmp_path: Path):
     path = write(tmp_path / "a.mp4", converted(walker(16, step=0.6)), quality=20)
     assert read_footage(path, (0, None), 1, 30.0, HEIGHT).numbers[:6] == (0, 1, 2, 3, 5, 6)
+
+
+def test_repeats_without_an_even_pattern_are_no_conversion():
+    frozen = [index for start in range(0, 36, 6) for index in range(start + 3, start + 6)]
+    assert conversion(frozen, 36) is None  # three pictures, then three copies
+    assert conversion([5, 20, 21], 36) is None
+    assert conversion([], 36) is None
+    assert conversion(list(range(1, 36)), 36) is None
+    assert conversion([index for index in range(36) if index % 5 in (1, 3, 4)], 36) == Fraction(
+        2, 5
+    )
 
 
 def test_frames_of_one_picture_are_all_repeats():

@@ -44,6 +44,12 @@ def test_a_repeated_frame_is_left_out_and_said(tmp_path: Path, caplog: pytest.Lo
     assert footage.interval == pytest.approx(1 / FPS)
 
 
+def test_a_repeat_in_a_clip_of_three_frames_is_no_frame_rate(tmp_path: Path):
+    footage = read(write_video(tmp_path / "a.mp4", [PICTURES[0], PICTURES[0], PICTURES[1]]))
+    assert footage.numbers == (0, 2)
+    assert footage.interval == pytest.approx(1 / FPS)
+
+
 def test_a_dropped_frame_leaves_a_gap_in_time(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     footage = read(write_video(tmp_path / "a.mp4", PICTURES[:4], [0, 0.04, 0.12, 0.16]))
     assert footage.timestamps.diff().tolist() == pytest.approx([0.04, 0.08, 0.04])
