@@ -132,8 +132,13 @@ def _read_folder(
 
 
 def _one_shot(read: Footage, path: Path) -> Footage:
-    """Keep the longest recording of edited footage, and say which one that is."""
-    starts = shot_starts(read.frames)
+    """Keep the longest recording of edited footage, and say which one that is.
+
+    Cuts are looked for between pictures, not their copies, beside which any step looks like one.
+    """
+    repeats = set(repeated_frames(read.frames))
+    pictures = [index for index in range(len(read.frames)) if index not in repeats]
+    starts = [pictures[start] for start in shot_starts(read.frames[pictures])]
     if len(starts) == 1:
         return read
     first, stop = longest_shot(starts, len(read.frames))

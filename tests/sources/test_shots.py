@@ -91,6 +91,14 @@ def test_footage_is_the_longest_shot_and_its_numbers_are_the_files(
     assert "3 shots, cut before frames [8, 28]; taken is the longest, frames 8 to 27" in caplog.text
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_picture_that_comes_several_times_makes_no_cut_of_the_next(tmp_path: Path, times: int):
+    frames = [frame for frame in pan(24, 30) for _ in range(times)]
+    assert len(starts(frames)) > 1  # beside copies every step looks like a cut
+    footage = read_footage(write_video(tmp_path / "c.mp4", frames), (0, None), 1, FPS, HEIGHT)
+    assert len(footage.frames) == 24
+
+
 def test_another_shot_is_taken_by_the_frames_asked_for(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
