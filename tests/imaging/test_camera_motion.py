@@ -61,7 +61,7 @@ def test_a_still_camera_that_is_noisy_and_encoded_does_not_travel(tmp_path):
     noise = np.random.default_rng(0).normal(0, 8, frames.shape)
     noisy = (frames.numpy() + noise).round().clip(0, 255).astype(np.uint8)
     path = tmp_path / "still.mp4"
-    write_video(path, noisy, 30)
+    write_video(path, noisy, 30.0)
     with av.open(str(path)) as video:
         read = np.stack([frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)])
     travel = background_travel(torch.from_numpy(read), mattes)

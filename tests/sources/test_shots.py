@@ -95,7 +95,7 @@ def test_footage_is_the_longest_shot_and_its_numbers_are_the_files(
 def test_a_picture_that_comes_several_times_makes_no_cut_of_the_next(tmp_path: Path, times: int):
     frames = [frame for frame in pan(24, 30) for _ in range(times)]
     assert len(starts(frames)) > 1  # beside copies every step looks like a cut
-    footage = read_footage(write_video(tmp_path / "c.mp4", frames), (0, None), 1, FPS, HEIGHT)
+    footage = read_footage(write_video(tmp_path / "c.mp4", frames), (0, None), 1, 30.0, HEIGHT)
     assert len(footage.frames) == 24
 
 
