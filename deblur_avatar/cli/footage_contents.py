@@ -2,7 +2,7 @@
 
 DVC follows parameters and what stages make. A user's own files lie anywhere and are named by their
 path alone: another film under the same name, or better masks in the same folder, would change
-nothing. So their digests are kept beside what was made of them.
+nothing. So their digests are kept beside `dvc.lock`, in `footage.json`.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from deblur_avatar.cli.homes import PARAMS
+from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.running_dvc import reproduce
 from deblur_avatar.config.reading import expand_environment, load_params
 from deblur_avatar.errors import ArtifactError
@@ -23,17 +23,21 @@ NAMED = ("path", "keypoints", "masks", "poses")  # of `clip`
 
 
 @contextmanager
-def followed_footage(folder: Path, scene: str) -> Iterator[int]:
-    """Make a scene's clip again, if it is there and its files changed; remember them at the end.
+def followed_footage(home: Home, scene: str, body: str) -> Iterator[int]:
+    """Make a scene's clip again, if its files are others than it was made of; remember them.
 
-    Gives DVC's exit code. They are remembered however what goes on ends, if a clip was made.
+    Gives DVC's exit code. They are remembered however what goes on ends, if a clip was made. A clip
+    that is not there may be in DVC's cache, made of other files: it is made again, too.
     """
+    folder = home.folder
     found = contents_of(folder, scene)
-    record, made = folder / "data" / f".{scene}.footage.json", folder / "data/clip" / scene
-    code = 0
-    if made.exists() and _known(record) != found:
+    record, made = folder / "footage.json", folder / "data/clip" / scene
+    known, code = _known(record), 0
+    if known != found and (known is not None or made.exists()):
         logger.info("The footage of %s may have changed since it was read: it is read again", scene)
-        code = reproduce(["--force", "--single-item", f"clip@{scene}"], folder=folder)
+        write_json(record, {})  # of one who is stopped from here on nothing is known
+        steps = [["--force", "--single-item", f"clip@{scene}"]]
+        code = reproduce(*[[f"body@{body}"]] * home.independent, *steps, folder=folder)
     try:
         yield code
     finally:

@@ -82,7 +82,7 @@ def run(asked: argparse.Namespace) -> int:
     sharing = home.independent and not asked.own_body  # a checkout's avatars share one anyway
     code = make_body(home.folder, BODY) if sharing else 0
     if code == 0:
-        with followed_footage(home.folder, name) as code:
+        with followed_footage(home, name, BODY) as code:
             code = code or (_first_look(home, run) if asked.preview else 0)
             code = code or reproduce(*targets(name, asked.method), folder=home.folder)
     if code == 0:

@@ -221,8 +221,22 @@ def test_another_film_or_masks_of_the_same_name_are_read_again(root, video, monk
     with caplog.at_level(logging.INFO):
         assert asked()[0] == again
     assert "The footage of anna may have changed" in caplog.text
-    (folder / "data/.anna.footage.json").unlink()  # as of a version that kept none
+    (folder / "footage.json").unlink()  # as of a version that kept none
     assert asked()[0] == again
+    write_video(video, [picture(index) for index in (1, 0, 2)])
+    shutil.rmtree(folder / "data")  # DVC's cache has the former clip
+    assert asked()[0] == again
+
+
+def test_far_from_a_checkout_there_is_a_body_before_footage_is_read_again(
+    video, tmp_path_factory, monkeypatch
+):
+    monkeypatch.chdir(tmp_path_factory.mktemp("anywhere"))
+    prepare(video, "anna", "lean", None, Path())
+    Path("anna/data/clip/anna").mkdir(parents=True)
+    pipeline = Pipeline(monkeypatch, lambda word: 5 if "clip@" in word else 0)
+    assert main(["video", str(video), "--name", "anna", "--own-body"]) == 5
+    assert pipeline.asked == ["body@anny", "--force --single-item clip@anna"]
 
 
 def test_what_could_not_be_read_again_is_read_again_the_next_time(root, video, monkeypatch):
@@ -233,6 +247,7 @@ def test_what_could_not_be_read_again_is_read_again_the_next_time(root, video, m
         pipeline = Pipeline(monkeypatch, lambda word: 5)
         assert main(words) == 5
         assert pipeline.asked == ["--force --single-item clip@anna"]
+        shutil.rmtree(folder / "data", ignore_errors=True)  # DVC takes away what it makes again
 
 
 @pytest.mark.parametrize("words", [[], ["--own-body"]])
