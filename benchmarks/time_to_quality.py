@@ -120,7 +120,7 @@ def fitted(
         clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
 
     with TemporaryDirectory() if place is None else nullcontext(place) as there:
-        key = run_key(0, [recipe, params, schedule], [])
+        key = run_key(seed, [recipe, params, schedule], [])
         generator = torch.Generator().manual_seed(seed)
         common = {"device": CPU, "generator": generator, "report": watch}
 

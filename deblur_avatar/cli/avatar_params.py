@@ -21,7 +21,6 @@ PAGE = "avatar.html"
 BODY, PLAIN = "anny", "plain"
 ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
 DEFAULT_AVATAR = "paper"
-DEFAULT_SCHEDULE = "large"
 ADDED_TO = (
     "warmups",
     "runs",
@@ -69,7 +68,8 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
         content = _new(name, video)
     kind = section_of(shared, source, f"avatars.{recipe}.model.kind", str)
     content = _with_method(content, name, method, recipe, kind)
-    content |= {} if schedule is None else {"schedule": schedule}
+    if schedule is not None:
+        content["schedule"] = schedule
     if home.independent:
         content["bodies"] = {BODY: section_of(shared, source, f"bodies.{BODY}", dict)} | content[
             "bodies"
@@ -124,7 +124,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
     }
     return {
         "seed": 0,
-        "schedule": DEFAULT_SCHEDULE,
+        "schedule": "large",
         "scenes": {name: scene},
         "warmups": {},
         "runs": {},

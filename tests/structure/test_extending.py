@@ -59,7 +59,7 @@ def test_the_trajectory_is_fitted_saved_and_evaluated(
     section = read_yaml_blocks()["methods"]["spin"]
     method = parse(MethodParams, section, "methods.spin")
     seen = make_observations(frames=6)
-    torch.manual_seed(0)  # networks start from it
+    torch.manual_seed(3)  # networks start from it
     quiet = {"device": CPU, "generator": torch.Generator().manual_seed(0), "report": _quiet}
     avatar, checkpoint, _ = warm_up(seen, recipe, schedule, **quiet)
     avatar, motion, checkpoint, _ = fit_trajectory(
@@ -79,7 +79,7 @@ def test_the_trajectory_is_fitted_saved_and_evaluated(
         **quiet,
     )
     assert not torch.equal(refined.parameters["spin"], motion.parameters["spin"])
-    assert reblur(_model(avatar, seen), seen, refined)["psnr"] > 5
+    assert reblur(_model(avatar, seen), seen, refined)["psnr"] > 10
 
 
 def test_the_loss_is_a_term_with_its_weight(
