@@ -99,6 +99,7 @@ def fitted(
     schedule: ScheduleParams,
     moments: frozenset[int],
     place: Path | None = None,
+    inputs: Sequence[Path] = (),
     seed: int = 0,
 ) -> list[Kept]:
     """Fit one method, and keep avatars after some iterations and at the end.
@@ -109,6 +110,7 @@ def fitted(
         schedule: how long, and how large.
         moments: the iterations after which avatars are kept.
         place: a folder in which a fit that was stopped goes on; its seconds are those since then.
+        inputs: folders that the observations were read from; a fit of others begins anew there.
         seed: of its draws.
     """
     recipe = load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams)
@@ -120,7 +122,7 @@ def fitted(
         clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
 
     with TemporaryDirectory() if place is None else nullcontext(place) as there:
-        key = run_key(seed, [recipe, params, schedule], [])
+        key = run_key(seed, CPU, moments, [recipe, params, schedule], inputs)
         generator = torch.Generator().manual_seed(seed)
         common = {"device": CPU, "generator": generator, "report": watch}
 
@@ -247,7 +249,8 @@ def reference_of(method: str, size: int, folder: Path) -> float:
     whole = schedule.model_copy(update={**ends, "levels": ()})
     observations, reference = filmed(size, folder)
     place = folder / f"{SCENE}_{size}_{method}_reference"
-    kept = fitted(observations, method, whole, frozenset(), place)
+    film = folder / f"{SCENE}_{size}" / "observations"
+    kept = fitted(observations, method, whole, frozenset(), place, [film])
     return psnr_seen(observations, reference, kept[-1])
 
 

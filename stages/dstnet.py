@@ -6,9 +6,12 @@ import deblur_avatar.loading  # noqa: F401
 from deblur_avatar import run
 from deblur_avatar.artifacts.deblurring_clips import DeblurringClips
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.pipeline.dstnet import digest_of, train
+from deblur_avatar.pipeline.dstnet import train
+from deblur_avatar.readers.file_contents import contents_digest
 from deblur_avatar.training.deblurring import DstnetTrainingParams
 from deblur_avatar.training.resume import run_folder, run_key
+
+NO_SNAPSHOTS: frozenset[int] = frozenset()
 
 
 def main(clips: Path, work: Path, out: Path, params_file: Path) -> None:
@@ -18,10 +21,10 @@ def main(clips: Path, work: Path, out: Path, params_file: Path) -> None:
 
     with run.stage("dstnet", out.name, seed) as context:
         report = run.fitting_progress("dstnet", params.iterations)
-        key = run_key(context.seed, [params], [clips])
-        with run_folder(work, key, frozenset()) as folder:
+        key = run_key(context.seed, context.device, NO_SNAPSHOTS, [params], [clips])
+        with run_folder(work, key, NO_SNAPSHOTS) as folder:
             weights = train(
-                DeblurringClips.load(clips), params, context.seed, origin=digest_of(clips),
+                DeblurringClips.load(clips), params, context.seed, origin=contents_digest(clips),
                 report=report, folder=folder,
             )  # fmt: skip
             weights.save(out)

@@ -5,7 +5,6 @@ path alone: another film under the same name, or better masks in the same folder
 nothing. So their digests are kept beside `dvc.lock`, in `footage.json`.
 """
 
-import hashlib
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.running_dvc import reproduce
 from deblur_avatar.config.reading import expand_environment, load_params
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.readers.file_contents import contents_digest
 from deblur_avatar.run import read_json, write_json
 
 logger = logging.getLogger(__name__)
@@ -65,13 +65,7 @@ def _known(record: Path) -> dict[str, str] | None:
 
 
 def _digest(path: Path) -> str:
-    digest = hashlib.sha256()
-    inside = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
     try:
-        for one in inside:
-            digest.update(f"{one.relative_to(path)} {one.stat().st_size}\n".encode())
-            with one.open("rb") as file:
-                digest.update(hashlib.file_digest(file, "sha256").digest())
+        return contents_digest(path)
     except OSError as error:
         raise ArtifactError(f"{path} cannot be read: {error.strerror}") from error
-    return digest.hexdigest()

@@ -4,11 +4,9 @@ A training that was stopped goes on from what it kept (training/resume.py) and e
 bytes.
 """
 
-import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 from deblur_avatar.artifacts.deblurring_clips import DeblurringClips
 from deblur_avatar.imaging.dstnet_weights import DstnetWeights
@@ -33,7 +31,7 @@ def train(
         clips: to train on.
         params: of network and training.
         seed: of all that is drawn.
-        origin: what the weights say they were trained on (`digest_of`).
+        origin: what the weights say they were trained on, a digest of the clips.
         report: called with the iteration and the mean loss.
         folder: where it may go on from, and keeps its state.
     """
@@ -57,13 +55,3 @@ def train(
         clips=origin,
         tensors={name: value.clone() for name, value in trainer.network.state_dict().items()},
     )
-
-
-def digest_of(folder: Path) -> str:
-    """SHA-256 of an artifact's files and their names."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            digest.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()

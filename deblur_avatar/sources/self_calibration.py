@@ -80,7 +80,10 @@ def _write_pictures(
 
 
 def _match(folder: Path) -> None:
-    """Features and their matches, which nothing is drawn for."""
+    """Features and their matches, which nothing is drawn for.
+
+    On one thread: several share their search trees, and found other matches in 7 runs of 100.
+    """
     import pycolmap
 
     reader = pycolmap.ImageReaderOptions(
@@ -105,6 +108,7 @@ def _match(folder: Path) -> None:
     )
     matching = pycolmap.FeatureMatchingOptions()
     matching.skip_geometric_verification = True
+    matching.num_threads = 1
     pairs = pycolmap.SequentialPairingOptions()
     pairs.overlap, pairs.quadratic_overlap = NEIGHBOURS, True
     logger.info("self-calibration: matches between frames")

@@ -59,7 +59,7 @@ def fitting_stage(
     schedule = load_params(params_file, f"schedules.{chosen}", ScheduleParams)
     kept = schedule.halvings(load_params(params_file, "snapshots", int))
     with run.stage(name, out.name, load_params(params_file, "seed", int)) as context:
-        key = run_key(context.seed, [schedule, *settings], inputs)
+        key = run_key(context.seed, context.device, kept, [schedule, *settings], inputs)
         report = run.fitting_progress(f"{name} {out.name}", getattr(schedule, name))
         with run_folder(out, key, kept) as folder:
             yield FittingStage(schedule, context.device, context.generator, report, folder, out)

@@ -27,12 +27,15 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.storage import Artifact
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE
+from deblur_avatar.readers.file_contents import add_contents
+from deblur_avatar.rendering.rasterize import BACKEND_VARIABLE
 from deblur_avatar.run import read_json, write_json
 
 logger = logging.getLogger(__name__)
 
 PACKAGE = Path(__file__).resolve().parents[1]
 CODE = (".py", ".cpp", ".h")
+NAMED = (WEIGHTS_VARIABLE, HEADS_VARIABLE, BACKEND_VARIABLE)  # by the environment
 SAVE_EVERY_S = 20.0  # a save takes some 20 ms: a thousandth of the time; changes no result
 
 
@@ -190,18 +193,24 @@ def run_folder(out: Path, key: str, snapshots: frozenset[int]) -> Iterator[RunFo
         os.close(held)
 
 
-def run_key(seed: int, settings: Iterable[Any], inputs: Iterable[Path]) -> str:
-    """A digest of all that decides a stage's result: its seed, parameters, inputs and this code.
+def run_key(
+    seed: int,
+    device: torch.device,
+    kept: frozenset[int],
+    settings: Iterable[Any],
+    inputs: Iterable[Path],
+) -> str:
+    """A digest of all that decides a stage's result: seed, device, parameters, inputs, this code.
 
-    Which weights of LPIPS the environment names is among it.
+    What the environment names is among it: weights of LPIPS and a rasterizer. So are the iterations
+    after which a snapshot is kept, of which a run that goes on would lack the first.
     """
-    weights = [os.environ.get(variable) for variable in (WEIGHTS_VARIABLE, HEADS_VARIABLE)]
-    digest = hashlib.sha256(f"{seed} {torch.__version__} {weights}".encode())
+    named = [os.environ.get(variable) for variable in NAMED]
+    said = f"{seed} {device} {sorted(kept)} {torch.__version__} {named}"
+    digest = hashlib.sha256(said.encode())
     for setting in settings:
         digest.update(setting.model_dump_json().encode())
-    for folder in (PACKAGE, *inputs):
-        for path in sorted(folder.rglob("*")):
-            if path.is_file() and (folder != PACKAGE or path.suffix in CODE):
-                digest.update(f"{path.relative_to(folder)} {path.stat().st_size}\n".encode())
-                digest.update(path.read_bytes())
+    add_contents(digest, PACKAGE, CODE)
+    for folder in inputs:
+        add_contents(digest, folder)
     return digest.hexdigest()

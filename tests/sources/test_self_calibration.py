@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 import torch
 
@@ -75,6 +76,27 @@ def test_a_still_camera_gives_no_answer():
 
 def test_the_same_frames_give_the_same_bits():
     assert calibrate_focal(*filmed(walks=True)) == calibrate_focal(*filmed(walks=True))
+
+
+def test_what_several_threads_would_change_runs_on_one(monkeypatch):
+    """Two runs agree by chance: several threads find other matches in 7 of 100."""
+    threads: dict[str, int] = {}
+
+    def counted(name: str, options: str) -> None:
+        step = getattr(pycolmap, name)
+
+        def run(*given: Any, **named: Any) -> Any:
+            threads[name] = named[options].num_threads
+            return step(*given, **named)
+
+        monkeypatch.setattr(pycolmap, name, run)
+
+    counted("match_sequential", "matching_options")
+    counted("geometric_verification", "verifier_options")
+    counted("incremental_mapping", "options")
+    calibrate_focal(*filmed(walks=True))
+    assert threads == dict.fromkeys(threads, 1)
+    assert len(threads) == 3
 
 
 def test_cameras_that_fit_badly_are_no_answer():
