@@ -122,7 +122,7 @@ def fitted(
         clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
 
     with TemporaryDirectory() if place is None else nullcontext(place) as there:
-        key = run_key(seed, CPU, moments, [recipe, params, schedule], inputs)
+        key = run_key([seed, sorted(moments)], [recipe, params, schedule], inputs)
         generator = torch.Generator().manual_seed(seed)
         common = {"device": CPU, "generator": generator, "report": watch}
 

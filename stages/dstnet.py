@@ -11,8 +11,6 @@ from deblur_avatar.readers.file_contents import contents_digest
 from deblur_avatar.training.deblurring import DstnetTrainingParams
 from deblur_avatar.training.resume import run_folder, run_key
 
-NO_SNAPSHOTS: frozenset[int] = frozenset()
-
 
 def main(clips: Path, work: Path, out: Path, params_file: Path) -> None:
     """Write the weights; `work` holds what a stopped training goes on from."""
@@ -21,8 +19,8 @@ def main(clips: Path, work: Path, out: Path, params_file: Path) -> None:
 
     with run.stage("dstnet", out.name, seed) as context:
         report = run.fitting_progress("dstnet", params.iterations)
-        key = run_key(context.seed, context.device, NO_SNAPSHOTS, [params], [clips])
-        with run_folder(work, key, NO_SNAPSHOTS) as folder:
+        key = run_key([context.seed], [params], [clips])
+        with run_folder(work, key, frozenset()) as folder:
             weights = train(
                 DeblurringClips.load(clips), params, context.seed, origin=contents_digest(clips),
                 report=report, folder=folder,

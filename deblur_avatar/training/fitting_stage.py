@@ -1,5 +1,6 @@
 """The bookends of the three fitting stages: what they are given, and what they leave."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,11 +11,8 @@ import torch
 
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.training.resume import (
-    RunFolder,
-    run_folder,
-    run_key,
-)
+from deblur_avatar.rendering.rasterize import BACKEND_VARIABLE
+from deblur_avatar.training.resume import RunFolder, run_folder, run_key
 from deblur_avatar.training.schedule import ScheduleParams
 from deblur_avatar.training.trainer import Report
 
@@ -59,7 +57,8 @@ def fitting_stage(
     schedule = load_params(params_file, f"schedules.{chosen}", ScheduleParams)
     kept = schedule.halvings(load_params(params_file, "snapshots", int))
     with run.stage(name, out.name, load_params(params_file, "seed", int)) as context:
-        key = run_key(context.seed, context.device, kept, [schedule, *settings], inputs)
+        facts = [context.seed, context.device, sorted(kept), os.environ.get(BACKEND_VARIABLE)]
+        key = run_key(facts, [schedule, *settings], inputs)
         report = run.fitting_progress(f"{name} {out.name}", getattr(schedule, name))
         with run_folder(out, key, kept) as folder:
             yield FittingStage(schedule, context.device, context.generator, report, folder, out)

@@ -13,7 +13,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,14 +28,12 @@ from deblur_avatar.artifacts.storage import Artifact
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE
 from deblur_avatar.readers.file_contents import add_contents
-from deblur_avatar.rendering.rasterize import BACKEND_VARIABLE
 from deblur_avatar.run import read_json, write_json
 
 logger = logging.getLogger(__name__)
 
 PACKAGE = Path(__file__).resolve().parents[1]
 CODE = (".py", ".cpp", ".h")
-NAMED = (WEIGHTS_VARIABLE, HEADS_VARIABLE, BACKEND_VARIABLE)  # by the environment
 SAVE_EVERY_S = 20.0  # a save takes some 20 ms: a thousandth of the time; changes no result
 
 
@@ -193,24 +191,21 @@ def run_folder(out: Path, key: str, snapshots: frozenset[int]) -> Iterator[RunFo
         os.close(held)
 
 
-def run_key(
-    seed: int,
-    device: torch.device,
-    kept: frozenset[int],
-    settings: Iterable[Any],
-    inputs: Iterable[Path],
-) -> str:
-    """A digest of all that decides a stage's result: seed, device, parameters, inputs, this code.
+def run_key(facts: Sequence[object], settings: Iterable[Any], inputs: Iterable[Path]) -> str:
+    """A digest of all that decides a stage's result: facts, parameters, inputs and this code.
 
-    What the environment names is among it: weights of LPIPS and a rasterizer. So are the iterations
-    after which a snapshot is kept, of which a run that goes on would lack the first.
+    Args:
+        facts: a seed, a device and what else is neither parameter nor input; each must say in words
+            all that it is. Which weights of LPIPS the environment names is among it without them.
+        settings: parameters.
+        inputs: folders; one that is not there is refused later, by who reads it.
     """
-    named = [os.environ.get(variable) for variable in NAMED]
-    said = f"{seed} {device} {sorted(kept)} {torch.__version__} {named}"
-    digest = hashlib.sha256(said.encode())
+    weights = [os.environ.get(variable) for variable in (WEIGHTS_VARIABLE, HEADS_VARIABLE)]
+    digest = hashlib.sha256(f"{[*facts]} {torch.__version__} {weights}".encode())
     for setting in settings:
         digest.update(setting.model_dump_json().encode())
     add_contents(digest, PACKAGE, CODE)
     for folder in inputs:
-        add_contents(digest, folder)
+        if folder.exists():
+            add_contents(digest, folder)
     return digest.hexdigest()
