@@ -25,6 +25,7 @@ import logging
 import shutil
 from pathlib import Path
 
+from deblur_avatar.body_estimation.pose_model import installed_model
 from deblur_avatar.cli.avatar_params import BODY, PAGE, name_of, prepare
 from deblur_avatar.cli.footage_contents import followed_footage
 from deblur_avatar.cli.homes import PARAMS, Home
@@ -36,6 +37,7 @@ from deblur_avatar.config.reading import load_params, parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.evaluation.findings import failures, read_findings
 from deblur_avatar.exports.registry import ExportParams
+from deblur_avatar.run import read_json
 
 logger = logging.getLogger(__name__)
 
@@ -83,6 +85,7 @@ def run(asked: argparse.Namespace) -> int:
     code = make_body(home.folder, BODY) if sharing else 0
     if code == 0:
         with followed_footage(home, name, BODY) as code:
+            code = code or reproduce(*_better_poses(home.folder, name), folder=home.folder)
             code = code or (_first_look(home, run) if asked.preview else 0)
             code = code or reproduce(*targets(name, asked.method), folder=home.folder)
     if code == 0:
@@ -95,6 +98,21 @@ def targets(name: str, method: str) -> list[list[str]]:
     run = f"{name}-{method}"
     made = [f"{stage}@{run}" for stage in ("self_check", "export", "animate", "evaluate")]
     return [[f"check@{name}"], made, ["--single-item", "report"]]
+
+
+def _better_poses(folder: Path, name: str) -> list[list[str]]:
+    """What to ask DVC for, if poses were estimated before the larger pose model was installed.
+
+    DVC does not follow what is installed.
+    """
+    metrics = folder / f"metrics/preprocess/{name}.json"
+    estimated = (folder / f"data/preprocess/{name}").exists() and metrics.exists()
+    if not estimated or read_json(metrics).get("pose_model") != "full":
+        return []
+    if installed_model() == "full":
+        return []
+    logger.info("MediaPipe's larger pose model was installed since: poses are estimated again")
+    return [[f"blur@{name}"], ["--force", "--single-item", f"preprocess@{name}"]]
 
 
 def _first_look(home: Home, run: str) -> int:

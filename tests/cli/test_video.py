@@ -14,6 +14,7 @@ from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.pipeline.clip import ClipParams
+from deblur_avatar.run import write_json
 from deblur_avatar.sources.monocular import MonocularParams
 from tests.process_state import ended_here
 from tests.sources.small_videos import picture, write_video
@@ -226,6 +227,28 @@ def test_another_film_or_masks_of_the_same_name_are_read_again(root, video, monk
     write_video(video, [picture(index) for index in (1, 0, 2)])
     shutil.rmtree(folder / "data")  # DVC's cache has the former clip
     assert asked()[0] == again
+
+
+def test_poses_are_estimated_again_once_the_larger_model_is_there(root, video, monkeypatch):
+    monkeypatch.chdir(root)
+    prepare(video, "anna", "lean", None, root)
+    folder = Path("avatars/anna")
+    again = ["blur@anna", "--force --single-item preprocess@anna"]
+
+    def asked(installed, estimated):
+        monkeypatch.setattr(command, "installed_model", lambda: installed)
+        write_json(folder / "metrics/preprocess/anna.json", {"pose_model": estimated})
+        pipeline = Pipeline(monkeypatch, lambda word: 3 if "check@" in word else 0)
+        assert main(["video", str(video), "--name", "anna"]) == 3
+        return pipeline.asked[:-1]
+
+    assert asked("heavy", "full") == []  # metrics came with a clone, data are not there
+    (folder / "data/preprocess/anna").mkdir(parents=True)
+    assert asked("heavy", "full") == again
+    assert asked("full", "full") == []
+    assert asked("heavy", "heavy") == []
+    assert asked("full", "heavy") == []  # what is better stays
+    assert asked("heavy", None) == []  # poses were given
 
 
 def test_far_from_a_checkout_there_is_a_body_before_footage_is_read_again(
