@@ -76,12 +76,13 @@ def main() -> int:
         renaming = Renaming.parsed(arguments.renamed)
         with trees(root, arguments.base) as there:
             footage = there.scratch / "footage"
+            variables = footage_variables(footage, root)
             write_footage(footage)
             asked = Question(
                 renaming,
                 tuple(filter(None, arguments.changed.split(","))),
                 frozenset(kinds() - NOT_IN_SMALL),
-                footage_variables(footage, root),
+                variables,
             )
             proven = prove(there, asked, say)
             for line in table(relock(root, there, renaming, proven)):

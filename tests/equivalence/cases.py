@@ -23,6 +23,7 @@ from dvc.repo.graph import build_graph
 from dvc.stage import Stage
 from dvc.utils.serialize import load_path
 
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import FINGERPRINTS, PIPELINE
 from deblur_avatar.sweep.costs import stage_of
 
@@ -175,6 +176,15 @@ def _last_line(log: Path) -> str:
 
 
 def footage_variables(footage: Path, root: Path) -> dict[str, str]:
-    """Where small cases find footage: what was written for them, and real videos."""
-    videos = os.environ.get(VIDEOS_VARIABLE) or str((root / VIDEOS).resolve())
-    return {FOOTAGE_VARIABLE: str(footage), VIDEOS_VARIABLE: videos}
+    """Where small cases find footage: what is written for them, and real videos.
+
+    Raises:
+        ConfigError: if the videos are not there, which cases would find out a quarter hour later.
+    """
+    videos = Path(os.environ.get(VIDEOS_VARIABLE) or (root / VIDEOS).resolve())
+    if not videos.is_dir():
+        raise ConfigError(
+            f"no folder {videos}: small cases read the courtyard's videos; name it in "
+            f"{VIDEOS_VARIABLE} (CONTRIBUTING.md)"
+        )
+    return {FOOTAGE_VARIABLE: str(footage), VIDEOS_VARIABLE: str(videos)}

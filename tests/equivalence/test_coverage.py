@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.motion.kinds import KINDS
 from deblur_avatar.sources.registry import SOURCES
-from tests.equivalence.cases import jobs_of
+from tests.equivalence.cases import footage_variables, jobs_of
 from tests.equivalence.coverage import uncovered
 
 ROOT = Path(__file__).parents[2]
@@ -47,3 +48,11 @@ def test_stages_that_are_compared_have_a_case(jobs):
         "export",
         "stability", "stability_scene",
     }  # fmt: skip
+
+
+def test_videos_that_are_not_there_are_told_before_any_case_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("POSE2SIM_ROOT", str(tmp_path / "nowhere"))
+    with pytest.raises(ConfigError, match=r"nowhere: small cases .* name it in POSE2SIM_ROOT"):
+        footage_variables(tmp_path / "footage", ROOT)
+    monkeypatch.setenv("POSE2SIM_ROOT", str(tmp_path))
+    assert footage_variables(tmp_path / "footage", ROOT)["POSE2SIM_ROOT"] == str(tmp_path)
