@@ -9,6 +9,7 @@ from ruamel.yaml import YAML
 
 from deblur_avatar.cli.homes import PARAMS, Home, home_of
 from deblur_avatar.config.reading import (
+    expand_environment,
     read_params,
     read_yaml,
     section_of,
@@ -142,14 +143,14 @@ def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
         content.setdefault(section, {})
     for section in ADDED_TO:
         section_of(content, path, section, dict)
-    if not _same_file(known, video):
+    if not _same_file(path.parent / expand_environment(known, f"{path}: clip.path"), video):
         raise ConfigError(
             f"{path} is of {known!r}; choose another --name for {video}, or change it"
         )
     return content
 
 
-def _same_file(known: str, video: Path) -> bool:
+def _same_file(known: Path, video: Path) -> bool:
     try:
         return os.path.realpath(known) == os.path.realpath(video)
     except ValueError:  # letters that no path can have

@@ -229,6 +229,31 @@ def test_another_film_or_masks_of_the_same_name_are_read_again(root, video, monk
     assert asked()[0] == again
 
 
+def test_files_that_lie_in_an_avatars_folder_are_followed_too(root, video, monkeypatch, capsys):
+    monkeypatch.chdir(root)
+    monkeypatch.setenv("CLIPS", "../..")
+    folder = prepare(video, "anna", "lean", None, Path()).folder
+    params, mask = folder / "params.yaml", folder / "masks/0.png"
+    text = params.read_text().replace("masks: null", "masks: masks")
+    params.write_text(text.replace(str(root), "$(CLIPS)"))  # as stages see them, which run there
+    mask.parent.mkdir()
+
+    def asked(content):
+        mask.write_bytes(content)
+        (folder / "data/clip/anna").mkdir(parents=True, exist_ok=True)
+        pipeline = Pipeline(monkeypatch, lambda word: 3 if "check@" in word else 0)
+        assert main(["video", video.name, "--name", "anna"]) == 3
+        return pipeline.asked
+
+    again = "--force --single-item clip@anna"
+    assert asked(b"rough")[0] == again  # nothing was known yet
+    assert asked(b"rough") == ["check@anna"]
+    assert asked(b"better")[0] == again
+    monkeypatch.delenv("CLIPS")
+    assert main(["video", video.name, "--name", "anna"]) == 1
+    assert "clip.path: set the environment variable CLIPS" in capsys.readouterr().err
+
+
 def test_poses_are_estimated_again_once_the_larger_model_is_there(root, video, monkeypatch):
     monkeypatch.chdir(root)
     prepare(video, "anna", "lean", None, root)
