@@ -1,3 +1,4 @@
+import errno
 import json
 import logging
 import shutil
@@ -77,6 +78,36 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     assert set(changed["exports"]["anna-agnostic"]["files"]) == {
         "rig.glb", "pose.ply", "motion.bvh", "motion.npz",
     }  # fmt: skip
+
+
+def test_what_the_user_noted_stays(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    noted = path.read_text().replace("shutter: 0.5", "shutter: 0.25  # a phone, by daylight")
+    noted = f"# of the garden\n{noted}\n# look at the masks again\n"
+    path.write_text(noted)
+    prepare(video, "anna", "lean", "medium", root)
+    assert path.read_text() == noted
+    prepare(video, "anna", "paper", "large", root)
+    lines = path.read_text().splitlines()
+    assert {"# of the garden", "# look at the masks again"} <= set(lines)
+    assert "      shutter: 0.25  # a phone, by daylight" in lines
+    assert content(path)["schedule"] == "large"
+    assert set(content(path)["runs"]) == {"anna-lean", "anna-paper"}
+
+
+def test_a_full_disk_leaves_an_avatars_file_as_it_was(root: Path, video: Path, monkeypatch):
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    before = path.read_text()
+
+    def half(file, written):
+        with file.open("wb") as begun:
+            begun.write(written[: len(written) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(ArtifactError, match=r"cannot write .*anna/params\.yaml: .*No space left"):
+        prepare(video, "anna", "paper", "medium", root)
+    assert path.read_text() == before
 
 
 def test_a_schedule_that_the_user_wrote_stays_until_another_is_asked_for(root: Path, video: Path):
