@@ -6,6 +6,7 @@ import pytest
 from deblur_avatar.animation.amass import read_amass
 from deblur_avatar.cli.main import main
 from deblur_avatar.exports.live_viewer import LiveViewer
+from deblur_avatar.motion.frame import FixedMotion
 from tests.exports.page_header import header_of
 from tests.exports.requirement import imported
 
@@ -91,6 +92,30 @@ def test_what_cannot_be_exported_is_one_clear_line(project, capsys, words, messa
     [line] = capsys.readouterr().err.splitlines()
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(line)
+    assert not list(project.glob("a.*"))
+
+
+@pytest.mark.parametrize("later", [0.0, 5.0])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "export capsules-lean --format page --out a.html",
+        "export capsules-lean --format npz --out a.npz",
+        "view capsules-lean",
+    ],
+)
+def test_frames_that_were_chosen_anew_since_the_fit_are_no_part_of_it(
+    project, scene, monkeypatch, capsys, words, later
+):
+    monkeypatch.setattr(LiveViewer, "run", LiveViewer.stop)
+    taken = slice(0, 5 if later == 0 else None)
+    given = FixedMotion(scene.observations.poses.at(taken))
+    times = scene.observations.timestamps[taken] + later
+    given.to_artifact(scene.avatar.betas, times).save(project / "data/fusion/capsules-lean/motion")
+    assert main(words.split()) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"capsules-lean was fitted to {len(times)} frames from {later:.3f} to" in line
+    assert "its scene now has 8 frames from 0.000 to" in line
     assert not list(project.glob("a.*"))
 
 
