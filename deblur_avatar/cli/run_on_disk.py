@@ -90,6 +90,16 @@ class RunOnDisk:
         """The newest avatar; None before the first snapshot."""
         return next(self._newest_first(), None)
 
+    def newest_since_warmup(self) -> Kept | None:
+        """The newest avatar that is no older than the warm-up's.
+
+        Where the warm-up was just made again, what later stages left is of an earlier fit.
+        """
+        warmup = self._outs["warmup"]
+        made = warmup.stat().st_mtime if warmup.is_dir() else 0.0
+        kept = (one for one in self._newest_first() if one.place.is_dir())
+        return next((k for k in kept if k.place == warmup or k.place.stat().st_mtime >= made), None)
+
     def all_kept(self) -> list[Kept]:
         """All avatars on the way to the newest, in their order."""
         by_iteration = {kept.iteration: kept for kept in self._newest_first()}

@@ -1,6 +1,7 @@
 import errno
 import json
 import logging
+import os
 import shutil
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.run import write_json
 from deblur_avatar.sources.monocular import MonocularParams
+from deblur_avatar.training.resume import Snapshot
 from tests.process_state import ended_here
 from tests.sources.small_videos import picture, write_video
 
@@ -375,6 +377,31 @@ def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch
         assert f"A first look, the rest goes on: {page}" in caplog.messages
     else:
         assert "No first look: an avatar with networks fits on no page" in caplog.messages
+
+
+@pytest.mark.parametrize("earlier", ["finished", "stopped"])
+def test_a_first_look_is_not_of_an_earlier_fit(root, video, scene, monkeypatch, earlier):
+    monkeypatch.chdir(root)
+    folder = Path("avatars/anna")
+    before = folder / "data/fusion/anna-lean"
+    if earlier == "finished":
+        scene.avatar.save(before / "avatar")
+        scene.motion.save(before / "motion")
+    else:
+        before = before.with_name(".anna-lean.unfinished") / "snapshots/001500"
+        Snapshot(avatar=scene.avatar, motion=scene.motion).save(before)
+    os.utime(before, (1e9, 1e9))
+
+    def make(word):
+        if word.startswith("warmup"):  # other masks, say
+            scene.observations.save(folder / "data/preprocess/anna/blurred")
+            scene.avatar.save(folder / "data/warmup/anna-blurred-lean/avatar")
+        return 3 if word.startswith("evaluate") else 0
+
+    Pipeline(monkeypatch, make)
+    words = ["video", str(video), "--name", "anna", "--preview", "--schedule", "medium"]
+    assert main(words) == 3
+    assert "anna-lean, step 480 of 2400" in (folder / "avatar.html").read_text()
 
 
 @pytest.mark.parametrize(
