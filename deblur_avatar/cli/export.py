@@ -77,6 +77,11 @@ def run(asked: argparse.Namespace) -> int:
             else ("folder's name has no dot: this format is a folder of files")
         )
         raise ConfigError(f"--out {asked.out}: a {wanted}")
+    if asked.out.is_dir() and any(asked.out.iterdir()):
+        raise ConfigError(
+            f"--out {asked.out}: there are files in it, which would stand beside the new ones; "
+            "empty it, or name another folder"
+        )
     fitted = load_run(*find_run(asked.run))
     if asked.beside is not None:
         if asked.format != "page":

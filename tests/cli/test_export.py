@@ -49,6 +49,19 @@ def test_a_sequence_is_a_folder(project):
     assert len(list((project / "frames").iterdir())) == 8
 
 
+def test_a_sequence_does_not_mix_with_what_lies_there(project, capsys):
+    words = ["export", "capsules-lean", "--format", "ply_sequence", "--out", "frames"]
+    jumping = ["--motion", "builtin:jumping_jacks", "--seconds", "0.5"]
+    (project / "frames").mkdir()
+    assert main([*words, *jumping]) == 0
+    before = {file: file.read_bytes() for file in (project / "frames").iterdir()}
+    assert len(before) == 16
+    assert main(words) == 1  # 8 frames, and 8 of jumping would follow
+    [line] = capsys.readouterr().err.splitlines()
+    assert "--out frames: there are files in it, which would stand beside the new ones" in line
+    assert {file: file.read_bytes() for file in (project / "frames").iterdir()} == before
+
+
 def test_a_folder_with_one_run_needs_no_name(project):
     text = (project / "params.yaml").read_text()
     (project / "params.yaml").write_text(text[: text.index("  unmade")])
