@@ -1,5 +1,6 @@
 """Avatar parameters: the params.yaml of one person's video, the user's to change once written."""
 
+import io
 import os
 import re
 from pathlib import Path
@@ -9,12 +10,14 @@ from ruamel.yaml import YAML
 
 from deblur_avatar.cli.homes import PARAMS, Home, home_of
 from deblur_avatar.config.reading import (
+    expand_environment,
     read_params,
     read_yaml,
     section_of,
 )
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.parameters import check_parameters
+from deblur_avatar.run import write_text
 from deblur_avatar.sources.footage import read_footage
 
 PAGE = "avatar.html"
@@ -47,7 +50,7 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
 
     Raises:
         ConfigError: if there is no such video, name, method or schedule, or the folder is taken.
-        ArtifactError: if the video cannot be read.
+        ArtifactError: if the video cannot be read, or the disk refuses.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ConfigError(f"--name {name}: a name is small letters, digits and _, a letter first")
@@ -142,14 +145,14 @@ def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
         content.setdefault(section, {})
     for section in ADDED_TO:
         section_of(content, path, section, dict)
-    if not _same_file(known, video):
+    if not _same_file(path.parent / expand_environment(known, f"{path}: clip.path"), video):
         raise ConfigError(
             f"{path} is of {known!r}; choose another --name for {video}, or change it"
         )
     return content
 
 
-def _same_file(known: str, video: Path) -> bool:
+def _same_file(known: Path, video: Path) -> bool:
     try:
         return os.path.realpath(known) == os.path.realpath(video)
     except ValueError:  # letters that no path can have
@@ -218,11 +221,30 @@ def _places(content: dict[str, Any], up: str) -> dict[str, str]:
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
+    """Write a new file, or add to the user's what it lacks; its comments and its order stay."""
     yaml = YAML()
     yaml.width = 100
+    yaml.preserve_quotes = True
     yaml.representer.add_representer(
         type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null")
     )
-    with path.open("w") as file:
-        file.write(HEADER)
-        yaml.dump(content, file)
+    text = io.StringIO()
+    if path.is_file():
+        if read_yaml(path) == content:
+            return
+        whole = yaml.load(path.read_bytes())
+        _add(whole, content)
+    else:
+        text.write(HEADER)
+        whole = content
+    yaml.dump(whole, text)
+    write_text(path, text.getvalue())
+
+
+def _add(known: Any, content: dict[str, Any]) -> None:
+    """Set what a part of a file says otherwise, or does not say."""
+    for key, value in content.items():
+        if isinstance(value, dict) and isinstance(known.get(key), dict):
+            _add(known[key], value)
+        elif key not in known or known[key] != value:
+            known[key] = value

@@ -18,6 +18,7 @@ from typing import Any, get_type_hints
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.cli.run_on_disk import check_same_frames
 from deblur_avatar.config.reading import load_params, parse, read_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ConfigError
@@ -76,6 +77,11 @@ def run(asked: argparse.Namespace) -> int:
             else ("folder's name has no dot: this format is a folder of files")
         )
         raise ConfigError(f"--out {asked.out}: a {wanted}")
+    if asked.out.is_dir() and any(asked.out.iterdir()):
+        raise ConfigError(
+            f"--out {asked.out}: there are files in it, which would stand beside the new ones; "
+            "empty it, or name another folder"
+        )
     fitted = load_run(*find_run(asked.run))
     if asked.beside is not None:
         if asked.format != "page":
@@ -122,18 +128,21 @@ def load_run(folder: Path, name: str) -> FittedRun:
     """What the stages left of a run.
 
     Raises:
-        ArtifactError: if it was not made yet, or is damaged.
+        ArtifactError: if it was not made yet, is damaged, or was fitted to other frames than the
+            scene has now.
     """
     run: RunParams = load_params(folder / PARAMS, f"runs.{name}", RunParams)
     footage = folder / load_params(folder / PARAMS, "from.footage", str)
     prepared, fitted = footage / "preprocess" / run.scene, folder / "data/fusion" / name
-    return FittedRun(
+    found = FittedRun(
         name=name,
         avatar=Avatar.load(fitted / "avatar"),
         motion=Motion.load(fitted / "motion"),
         observations=Observations.load(prepared / run.observations),
         sharp=sharp_observations(prepared / "sharp"),
     )
+    check_same_frames(name, found.motion, found.observations)
+    return found
 
 
 def _runs(folder: Path) -> dict[str, Any]:

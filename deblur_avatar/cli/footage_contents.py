@@ -48,12 +48,15 @@ def followed_footage(home: Home, scene: str, body: str) -> Iterator[int]:
 def contents_of(folder: Path, scene: str) -> dict[str, str]:
     """SHA-256 of each file and folder that a scene's `clip` names and that is there, by key.
 
+    Paths are from the avatar's folder, in which stages run.
+
     Raises:
+        ConfigError: if one holds a variable that is not set.
         ArtifactError: if one of them cannot be read.
     """
     clip = load_params(folder / PARAMS, f"scenes.{scene}.clip", dict)
     named = {key: clip[key] for key in NAMED if isinstance(clip.get(key), str)}
-    paths = {key: Path(expand_environment(text, f"clip.{key}")) for key, text in named.items()}
+    paths = {key: folder / expand_environment(text, f"clip.{key}") for key, text in named.items()}
     return {key: _digest(path) for key, path in paths.items() if path.exists()}
 
 

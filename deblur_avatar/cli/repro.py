@@ -87,11 +87,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Reproduce, then write and print the report's table; returns DVC's exit code."""
+    """Reproduce, then write and print the report's table; returns DVC's exit code.
+
+    Raises:
+        ConfigError: if the parameters cannot be run, or no scene is left to make.
+    """
     check_checkout(Path())
     missing = not_asked_for(PARAMS, asked.scenes) | missing_footage(PARAMS)
     for scene, reason in missing.items():
         logger.warning("scene %s is left out: %s", scene, reason)
     wanted = targets(PARAMS, missing)
+    if missing and not wanted:  # to DVC no target is all of them
+        why = "; ".join(f"{scene}: {missing[scene]}" for scene in asked.scenes if scene in missing)
+        raise ConfigError(
+            f"nothing of {', '.join(asked.scenes) or PARAMS} can be made here: "
+            f"{why or 'each of its scenes is left out, or no run is of it'}"
+        )
     code = reproduce(wanted, *([["--single-item", "report"]] if wanted else []))
     return code or show_report()

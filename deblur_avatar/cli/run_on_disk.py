@@ -12,12 +12,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.cli.homes import PARAMS
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.config.runs import RunParams
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.training.resume import Snapshot
@@ -85,6 +90,16 @@ class RunOnDisk:
         """The newest avatar; None before the first snapshot."""
         return next(self._newest_first(), None)
 
+    def newest_since_warmup(self) -> Kept | None:
+        """The newest avatar that is no older than the warm-up's.
+
+        Where the warm-up was just made again, what later stages left is of an earlier fit.
+        """
+        warmup = self._outs["warmup"]
+        made = warmup.stat().st_mtime if warmup.is_dir() else 0.0
+        kept = (one for one in self._newest_first() if one.place.is_dir())
+        return next((k for k in kept if k.place == warmup or k.place.stat().st_mtime >= made), None)
+
     def all_kept(self) -> list[Kept]:
         """All avatars on the way to the newest, in their order."""
         by_iteration = {kept.iteration: kept for kept in self._newest_first()}
@@ -94,7 +109,7 @@ class RunOnDisk:
         """What can be shown of an avatar on its way.
 
         Raises:
-            ArtifactError: if it is damaged, or was thrown away in between.
+            ArtifactError: if it is damaged, was thrown away in between, or saw other frames.
         """
         if not kept.whole:
             snapshot = Snapshot.load(kept.place)
@@ -102,6 +117,7 @@ class RunOnDisk:
         else:
             avatar = Avatar.load(kept.place / "avatar")
             motion = self._motion(kept.place, avatar, observations)
+        check_same_frames(self.name, motion, observations)
         last = self.schedule.fusion
         far = "" if kept.iteration >= last else f", step {kept.iteration} of {last}"
         return FittedRun(f"{self.name}{far}", avatar, motion, observations)
@@ -153,6 +169,29 @@ class RunOnDisk:
                 yield Kept(out, getattr(self.schedule, stage), whole=True)
             for place in sorted((out / "snapshots").glob("[0-9]*"), reverse=True):
                 yield Kept(place, _number(place.name), whole=False)
+
+
+def check_same_frames(name: str, motion: Motion, observations: Observations) -> None:
+    """Refuse a run that was fitted before its frames were chosen or read anew.
+
+    Args:
+        name: of the run.
+        motion: fitted, or on its way.
+        observations: what `preprocess` made last.
+
+    Raises:
+        ArtifactError: if the two have frames of other times.
+    """
+    if not torch.equal(motion.timestamps, observations.timestamps):
+        raise ArtifactError(
+            f"{name} was fitted to {_frames(motion.timestamps)}, and its scene now has "
+            f"{_frames(observations.timestamps)}; run again what fits it (`deblur-avatar video`, "
+            "`dvc repro`), to its end"
+        )
+
+
+def _frames(timestamps: Float[Tensor, " F"]) -> str:
+    return f"{len(timestamps)} frames from {timestamps[0]:.3f} to {timestamps[-1]:.3f} s"
 
 
 def _number(name: str) -> int:

@@ -124,7 +124,7 @@ def _first_look(home: Home, run: str) -> int:
     on_disk = RunOnDisk(home.folder, run)
     check, warmup = f"check@{on_disk.run.scene}", f"warmup@{on_disk.warmup}"
     code = reproduce([check], [warmup], folder=home.folder)
-    kept = on_disk.newest() if code == 0 else None
+    kept = on_disk.newest_since_warmup() if code == 0 else None
     if kept is None or kept.iteration >= on_disk.schedule.fusion:
         return code
     page = load_params(home.folder / PARAMS, f"exports.{run}.files", dict).get(PAGE)

@@ -6,6 +6,7 @@ import pytest
 from deblur_avatar.animation.amass import read_amass
 from deblur_avatar.cli.main import main
 from deblur_avatar.exports.live_viewer import LiveViewer
+from deblur_avatar.motion.frame import FixedMotion
 from tests.exports.page_header import header_of
 from tests.exports.requirement import imported
 
@@ -46,6 +47,19 @@ def test_a_sequence_is_a_folder(project):
     words = ["export", "capsules-lean", "--format", "ply_sequence", "--out", "frames"]
     assert main(words) == 0
     assert len(list((project / "frames").iterdir())) == 8
+
+
+def test_a_sequence_does_not_mix_with_what_lies_there(project, capsys):
+    words = ["export", "capsules-lean", "--format", "ply_sequence", "--out", "frames"]
+    jumping = ["--motion", "builtin:jumping_jacks", "--seconds", "0.5"]
+    (project / "frames").mkdir()
+    assert main([*words, *jumping]) == 0
+    before = {file: file.read_bytes() for file in (project / "frames").iterdir()}
+    assert len(before) == 16
+    assert main(words) == 1  # 8 frames, and 8 of jumping would follow
+    [line] = capsys.readouterr().err.splitlines()
+    assert "--out frames: there are files in it, which would stand beside the new ones" in line
+    assert {file: file.read_bytes() for file in (project / "frames").iterdir()} == before
 
 
 def test_a_folder_with_one_run_needs_no_name(project):
@@ -91,6 +105,30 @@ def test_what_cannot_be_exported_is_one_clear_line(project, capsys, words, messa
     [line] = capsys.readouterr().err.splitlines()
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(line)
+    assert not list(project.glob("a.*"))
+
+
+@pytest.mark.parametrize("later", [0.0, 5.0])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "export capsules-lean --format page --out a.html",
+        "export capsules-lean --format npz --out a.npz",
+        "view capsules-lean",
+    ],
+)
+def test_frames_that_were_chosen_anew_since_the_fit_are_no_part_of_it(
+    project, scene, monkeypatch, capsys, words, later
+):
+    monkeypatch.setattr(LiveViewer, "run", LiveViewer.stop)
+    taken = slice(0, 5 if later == 0 else None)
+    given = FixedMotion(scene.observations.poses.at(taken))
+    times = scene.observations.timestamps[taken] + later
+    given.to_artifact(scene.avatar.betas, times).save(project / "data/fusion/capsules-lean/motion")
+    assert main(words.split()) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"capsules-lean was fitted to {len(times)} frames from {later:.3f} to" in line
+    assert "its scene now has 8 frames from 0.000 to" in line
     assert not list(project.glob("a.*"))
 
 

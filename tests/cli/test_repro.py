@@ -1,4 +1,5 @@
 import logging
+import re
 import sys
 from pathlib import Path
 
@@ -164,6 +165,28 @@ def test_scenes_asked_for_are_made_alone(folder, monkeypatch, caplog):
         assert main(["repro", "--scenes", "courtyard_mono"]) == 0
     assert "evaluate@courtyard_mono-paper" in commands.calls[0]
     assert not any("studio" in word for word in commands.calls[0])
+
+
+@pytest.mark.parametrize(
+    ("words", "on_request", "message"),
+    [
+        (["--scenes", "courtyard_mono"], [], "nothing of courtyard_mono can be made here: court"),
+        ([], ["studio"], "nothing of params.yaml can be made here: each of its scenes is left out"),
+        (["--scenes", "no_runs"], [], "nothing of no_runs can be made here: .* no run is of it"),
+    ],
+)
+def test_where_no_scene_is_left_nothing_runs_and_not_everything(
+    folder, tiny_content, monkeypatch, capsys, words, on_request, message
+):
+    tiny_content["on_request"] = on_request
+    tiny_content["scenes"]["no_runs"] = tiny_content["scenes"]["studio"]
+    with (folder / "params.yaml").open("w") as file:
+        YAML().dump(tiny_content, file)
+    commands = Commands(monkeypatch, [])
+    assert main(["repro", *words]) == 1
+    assert commands.calls == []
+    [line] = capsys.readouterr().err.splitlines()
+    assert re.search(message, line)
 
 
 def test_a_failing_step_ends_it_with_its_exit_code(folder, monkeypatch):

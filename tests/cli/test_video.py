@@ -1,5 +1,7 @@
+import errno
 import json
 import logging
+import os
 import shutil
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.pipeline.clip import ClipParams
 from deblur_avatar.run import write_json
 from deblur_avatar.sources.monocular import MonocularParams
+from deblur_avatar.training.resume import Snapshot
 from tests.process_state import ended_here
 from tests.sources.small_videos import picture, write_video
 
@@ -77,6 +80,36 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     assert set(changed["exports"]["anna-agnostic"]["files"]) == {
         "rig.glb", "pose.ply", "motion.bvh", "motion.npz",
     }  # fmt: skip
+
+
+def test_what_the_user_noted_stays(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    noted = path.read_text().replace("shutter: 0.5", "shutter: 0.25  # a phone, by daylight")
+    noted = f"# of the garden\n{noted}\n# look at the masks again\n"
+    path.write_text(noted)
+    prepare(video, "anna", "lean", "medium", root)
+    assert path.read_text() == noted
+    prepare(video, "anna", "paper", "large", root)
+    lines = path.read_text().splitlines()
+    assert {"# of the garden", "# look at the masks again"} <= set(lines)
+    assert "      shutter: 0.25  # a phone, by daylight" in lines
+    assert content(path)["schedule"] == "large"
+    assert set(content(path)["runs"]) == {"anna-lean", "anna-paper"}
+
+
+def test_a_full_disk_leaves_an_avatars_file_as_it_was(root: Path, video: Path, monkeypatch):
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    before = path.read_text()
+
+    def half(file, written):
+        with file.open("wb") as begun:
+            begun.write(written[: len(written) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(ArtifactError, match=r"cannot write .*anna/params\.yaml: .*No space left"):
+        prepare(video, "anna", "paper", "medium", root)
+    assert path.read_text() == before
 
 
 def test_a_schedule_that_the_user_wrote_stays_until_another_is_asked_for(root: Path, video: Path):
@@ -229,6 +262,31 @@ def test_another_film_or_masks_of_the_same_name_are_read_again(root, video, monk
     assert asked()[0] == again
 
 
+def test_files_that_lie_in_an_avatars_folder_are_followed_too(root, video, monkeypatch, capsys):
+    monkeypatch.chdir(root)
+    monkeypatch.setenv("CLIPS", "../..")
+    folder = prepare(video, "anna", "lean", None, Path()).folder
+    params, mask = folder / "params.yaml", folder / "masks/0.png"
+    text = params.read_text().replace("masks: null", "masks: masks")
+    params.write_text(text.replace(str(root), "$(CLIPS)"))  # as stages see them, which run there
+    mask.parent.mkdir()
+
+    def asked(content):
+        mask.write_bytes(content)
+        (folder / "data/clip/anna").mkdir(parents=True, exist_ok=True)
+        pipeline = Pipeline(monkeypatch, lambda word: 3 if "check@" in word else 0)
+        assert main(["video", video.name, "--name", "anna"]) == 3
+        return pipeline.asked
+
+    again = "--force --single-item clip@anna"
+    assert asked(b"rough")[0] == again  # nothing was known yet
+    assert asked(b"rough") == ["check@anna"]
+    assert asked(b"better")[0] == again
+    monkeypatch.delenv("CLIPS")
+    assert main(["video", video.name, "--name", "anna"]) == 1
+    assert "clip.path: set the environment variable CLIPS" in capsys.readouterr().err
+
+
 def test_poses_are_estimated_again_once_the_larger_model_is_there(root, video, monkeypatch):
     monkeypatch.chdir(root)
     prepare(video, "anna", "lean", None, root)
@@ -319,6 +377,31 @@ def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch
         assert f"A first look, the rest goes on: {page}" in caplog.messages
     else:
         assert "No first look: an avatar with networks fits on no page" in caplog.messages
+
+
+@pytest.mark.parametrize("earlier", ["finished", "stopped"])
+def test_a_first_look_is_not_of_an_earlier_fit(root, video, scene, monkeypatch, earlier):
+    monkeypatch.chdir(root)
+    folder = Path("avatars/anna")
+    before = folder / "data/fusion/anna-lean"
+    if earlier == "finished":
+        scene.avatar.save(before / "avatar")
+        scene.motion.save(before / "motion")
+    else:
+        before = before.with_name(".anna-lean.unfinished") / "snapshots/001500"
+        Snapshot(avatar=scene.avatar, motion=scene.motion).save(before)
+    os.utime(before, (1e9, 1e9))
+
+    def make(word):
+        if word.startswith("warmup"):  # other masks, say
+            scene.observations.save(folder / "data/preprocess/anna/blurred")
+            scene.avatar.save(folder / "data/warmup/anna-blurred-lean/avatar")
+        return 3 if word.startswith("evaluate") else 0
+
+    Pipeline(monkeypatch, make)
+    words = ["video", str(video), "--name", "anna", "--preview", "--schedule", "medium"]
+    assert main(words) == 3
+    assert "anna-lean, step 480 of 2400" in (folder / "avatar.html").read_text()
 
 
 @pytest.mark.parametrize(
