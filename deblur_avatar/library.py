@@ -3,6 +3,7 @@
 `deblur_avatar/__init__.py` lists all names that are meant for callers; docs/library.md shows them.
 """
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -70,17 +71,21 @@ def animate(
     Args:
         model: whom to show.
         motion: an AMASS `.npz`, an AIST++ `.pkl` or a `.bvh` file, or `builtin:<name>`.
-        fps: frames a second.
-        start: seconds into the motion.
-        seconds: how long; a motion that ends earlier gives fewer frames.
-        size: of the pictures, pixels.
+        fps: frames a second, above 0.
+        start: seconds into the motion, 0 or more.
+        seconds: how long, 0 or more; a motion that ends earlier gives fewer frames.
+        size: of the pictures, pixels, 1 or more.
         turns: how often the person turns in all, so that every side is seen.
         travel: share of the motion's steps that is kept; 0 is on the spot.
 
     Raises:
-        ConfigError: if there is no such motion, or it cannot be shown.
+        ConfigError: if there is no such motion, it cannot be shown, or a number is out of range.
         ArtifactError: if the motion's file is damaged.
     """
+    _in_range("fps", fps, fps > 0, "above 0")
+    _in_range("start", start, start >= 0, "0 or more")
+    _in_range("seconds", seconds, seconds >= 0, "0 or more")
+    _in_range("size", size, size >= 1, "1 or more")
     betas = model.betas.cpu()
     steps = read_motion(str(motion), model.body, betas, fps=fps, start=start, seconds=seconds)
     eye, up = torch.tensor([0.0, 0.0, CAMERA_DISTANCE]), torch.tensor([0.0, 1.0, 0.0])
@@ -93,6 +98,11 @@ def animate(
     except ValueError as error:
         raise ConfigError(f"{motion}: {error}") from None
     return render_shot(model, shot, _silent)
+
+
+def _in_range(name: str, value: float, inside: bool, wanted: str) -> None:
+    if not (inside and math.isfinite(value)):
+        raise ConfigError(f"{name}: wanted a finite number, {wanted}, got {value}")
 
 
 def _silent(items: Iterable[int], description: str) -> Iterable[int]:

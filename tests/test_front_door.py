@@ -78,3 +78,19 @@ def test_what_is_not_there_is_one_clear_error(folder):
     avatar = deblur_avatar.load_avatar("data/fusion/studio-lean/avatar", body="data/body/anny")
     with pytest.raises(ConfigError, match="no built-in motion 'polka'"):
         deblur_avatar.animate(avatar, "builtin:polka")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "wanted"),
+    [
+        ("fps", 0.0, "above 0"),
+        ("start", -0.5, "0 or more"),
+        ("seconds", -1.0, "0 or more"),
+        ("seconds", float("inf"), "0 or more"),
+        ("size", 0, "1 or more"),
+    ],
+)
+def test_a_number_out_of_range_is_one_clear_error(folder, name, value, wanted):
+    avatar = deblur_avatar.load_avatar("data/fusion/studio-lean/avatar", body="data/body/anny")
+    with pytest.raises(ConfigError, match=f"{name}: wanted a finite number, {wanted}, got {value}"):
+        deblur_avatar.animate(avatar, "builtin:jumping_jacks", **{name: value})

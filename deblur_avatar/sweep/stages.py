@@ -124,15 +124,18 @@ def _files(stage: PipelineStage) -> Iterator[Path]:
 
 
 def pipelines_below(root: Path, folder: str) -> list[str]:
-    """All pipelines in a folder of the repository and below it.
+    """All pipelines in a folder of the repository and below it, as paths from `root`.
 
     Raises:
-        ConfigError: if there is none.
+        ConfigError: if there is none, or the folder is not of the repository.
     """
-    found = sorted((root / folder).rglob("dvc.yaml"))
+    inside, top = (root / folder).resolve(), root.resolve()
+    if not inside.is_relative_to(top):
+        raise ConfigError(f"{folder} is no folder of {top}: start the sweep in its own repository")
+    found = sorted(inside.rglob("dvc.yaml"))
     if not found:
         raise ConfigError(f"no dvc.yaml in {folder} or below it: what is to be swept?")
-    return [path.relative_to(root).as_posix() for path in found]
+    return [path.relative_to(top).as_posix() for path in found]
 
 
 def changed_since_commit(root: Path) -> bool:
