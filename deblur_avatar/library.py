@@ -100,7 +100,7 @@ def animate(
     return render_shot(model, shot, _silent)
 
 
-def _in_range(name: str, value: float, inside: bool, wanted: str) -> None:
+def _in_range(name: str, value: float | int, inside: bool, wanted: str) -> None:
     if not (inside and math.isfinite(value)):
         raise ConfigError(f"{name}: wanted a finite number, {wanted}, got {value}")
 

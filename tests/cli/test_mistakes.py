@@ -70,7 +70,7 @@ MISTAKES = [
     Mistake("anywhere", "sweep dvc.yaml", 1, "no dvc.yaml, params.yaml, stages in"),
     Mistake("a checkout", "sweep", 2, "the following arguments are required: what"),
     Mistake("a checkout", "sweep stages", 1, "no dvc.yaml in stages or below it"),
-    Mistake("a checkout", "sweep /usr", 1, "/usr is no folder of "),
+    Mistake("a checkout", "sweep /usr", 1, "start the sweep in its own repository"),
     Mistake("a checkout", "sweep dvc.yaml --engine slurm", 2, "invalid choice: 'slurm'"),
     Mistake("a checkout", "sweep dvc.yaml --address auto", 1, "say --engine ray, too"),
     Mistake("a checkout", "sweep dvc.yaml --at-once 0", 1, "--at-once: wanted 1 or more, got 0"),
