@@ -25,6 +25,7 @@ from deblur_avatar.avatars.avatar import (
 from deblur_avatar.avatars.frequency_encoding import frequency_encoding, hann_window
 from deblur_avatar.avatars.gomavatar_params import GomavatarFitting, GomavatarParams
 from deblur_avatar.avatars.mesh_gaussians import MeshGaussians, face_gaussians
+from deblur_avatar.avatars.mesh_normals import posed_normals
 from deblur_avatar.avatars.mesh_terms import (
     adjacent_faces,
     color_consistency,
@@ -34,7 +35,6 @@ from deblur_avatar.avatars.mesh_terms import (
 )
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, Precision
 from deblur_avatar.avatars.relu_network import ReluNetwork
-from deblur_avatar.avatars.surface_projection import vertex_normals
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import matrix_to_axis_angle
 from deblur_avatar.geometry.skinning import skin_points
@@ -154,8 +154,8 @@ class GomavatarAvatar(AvatarModel):
             means, covars, means.new_ones(len(self.faces)), self.mesh.colors, camera.viewmat,
             camera.K, camera.width, camera.height, eps2d=eps2d_of(camera.binning),
         )  # fmt: skip
-        shading = [self.shading_map(*one, camera) for one in zip(posed, drawn.alpha, strict=True)]
-        image, alpha = drawn.image * torch.stack(shading)[..., None], drawn.alpha
+        image = drawn.image * self.shading_maps(posed, drawn.alpha, camera)[..., None]
+        alpha = drawn.alpha
         if average:
             image, alpha = mean_of_instants(image)[None], mean_of_instants(alpha)[None]
         if background is not None:
@@ -163,10 +163,10 @@ class GomavatarAvatar(AvatarModel):
             image = torch.stack([over(*one, background.expand_as(one[0])) for one in pictures])
         return MeshRendering(image, alpha, len(transforms), None, posed)
 
-    def shading_map(
-        self, vertices: Float[Tensor, "V 3"], alpha: Float[Tensor, "H W"], camera: Camera
-    ) -> Float[Tensor, "H W"]:
-        """What the light of each pixel is multiplied by: from 0 to 2.
+    def shading_maps(
+        self, vertices: Float[Tensor, "S V 3"], alpha: Float[Tensor, "S H W"], camera: Camera
+    ) -> Float[Tensor, "S H W"]:
+        """What the light of each pixel is multiplied by at each instant: from 0 to 2.
 
         Where Gaussians reach beyond the mesh it is what the network says of a normal of no length.
 
@@ -175,12 +175,10 @@ class GomavatarAvatar(AvatarModel):
             alpha: coverage; pixels without any have no light to shade.
             camera: who looks.
         """
-        pixels = torch.nonzero(alpha.detach() > 0).flip(1)  # columns, then rows
-        normals = vertex_normals(vertices, self.faces)
-        met, seen = seen_normals(vertices, normals, self.faces, camera, pixels)
-        columns, rows = pixels[met].unbind(1)
+        normals = posed_normals(vertices, self.faces)
+        met, seen = seen_normals(vertices, normals, self.faces, camera, alpha.detach() > 0)
         shades = self.shades(torch.cat([seen, seen.new_zeros(1, 3)]))
-        return shades[-1].expand_as(alpha).index_put((rows, columns), shades[:-1])
+        return shades[-1].expand_as(alpha).index_put(met.nonzero(as_tuple=True), shades[:-1])
 
     def shades(self, normals: Float[Tensor, "P 3"]) -> Float[Tensor, " P"]:
         """Shading of surfaces by their normals in the camera's axes, unit or 0; in (0, 2)."""

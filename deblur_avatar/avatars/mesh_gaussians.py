@@ -5,20 +5,26 @@ corners about its centroid, the circumcircle of an equilateral face. A Gaussian 
 frame whose axes are the ellipse's two and the face's normal times a thickness: of shape 1 its
 standard deviations in the face are the ellipse's axes. Metres. S instants, V vertices, N faces.
 
+Float32 tensors on the CPU go through the native kernel of `triangle_mesh`.
+
 Source: GoMAvatar (Wen et al., CVPR 2024).
 """
+
+import ctypes
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
-from deblur_avatar.geometry.rotations import axis_angle_to_matrix
-from deblur_avatar.rendering.covariance_factors import covariances
+from deblur_avatar.avatars.triangle_mesh import FLAT, ROUND, corner_lists, mesh_library
+from deblur_avatar.geometry.rotations import axis_angle_to_quat
+from deblur_avatar.rendering.covariance_factors import covariance_factors, covariances_reference
+from deblur_avatar.rendering.native_build import pointers
+from deblur_avatar.run import kernel_threads
 
 FIRST_COLOR = 0.5
-# Not parameters: of what float32 still knows of faces of a centimetre.
-ROUND = 1e-4  # of a face's size; an ellipse this near to a circle has no longer axis
-FLAT = 1e-12  # square metres; a face this small has no normal
 
 
 class MeshGaussians(nn.Module):
@@ -41,7 +47,7 @@ class MeshGaussians(nn.Module):
     @property
     def shapes(self) -> Float[Tensor, "N 3 3"]:
         """Rotations times scales, in the faces' frames."""
-        return axis_angle_to_matrix(self.turns) * self.scales[:, None, :]
+        return covariance_factors(axis_angle_to_quat(self.turns), self.scales)
 
 
 def face_gaussians(
@@ -58,10 +64,21 @@ def face_gaussians(
         shapes: rotations times scales in the faces' frames.
         thickness: standard deviation along the normal of a Gaussian of shape 1, metres.
     """
+    library = mesh_library(vertices, shapes)
+    if library is None:
+        return face_gaussians_reference(vertices, faces, shapes, thickness)
+    return _FaceGaussians.apply(vertices, shapes, faces, thickness, library)
+
+
+def face_gaussians_reference(
+    vertices: Float[Tensor, "S V 3"],
+    faces: Int64[Tensor, "N 3"],
+    shapes: Float[Tensor, "N 3 3"],
+    thickness: float,
+) -> tuple[Float[Tensor, "S N 3"], Float[Tensor, "S N 6"]]:
+    """The same in plain torch, on any device and in any precision: the kernel's slow twin."""
     corners = vertices[:, faces]
-    factors = steiner_frames(corners, thickness) @ shapes
-    covars = covariances(factors.flatten(0, 1)).unflatten(0, factors.shape[:2])
-    return corners.mean(2), covars
+    return corners.mean(2), covariances_reference(steiner_frames(corners, thickness) @ shapes)
 
 
 def steiner_frames(
@@ -95,3 +112,34 @@ def steiner_frames(
     unit = torch.nn.functional.normalize(torch.where(flat, torch.ones_like(across), across), dim=-1)
     normal = thickness * torch.where(flat, torch.zeros_like(unit), unit)
     return torch.stack([first, second, normal], dim=-1)
+
+
+class _FaceGaussians(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, vertices: Tensor, shapes: Tensor, faces: Tensor, thickness: float,
+        library: ctypes.CDLL,
+    ) -> tuple[Tensor, Tensor]:  # fmt: skip
+        inputs = vertices.contiguous(), faces.contiguous(), shapes.contiguous()
+        instants, count, faces_count = *vertices.shape[:2], len(faces)
+        ctx.sizes = instants, count, faces_count, kernel_threads(), thickness
+        ctx.lists, ctx.library = corner_lists(faces, count), library
+        means = vertices.new_empty(instants, faces_count, 3)
+        covars = vertices.new_empty(instants, faces_count, 6)
+        library.face_gaussians(*ctx.sizes, *pointers(*inputs, means, covars))
+        ctx.save_for_backward(*inputs)
+        return means, covars
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, means_grad: Tensor, covars_grad: Tensor) -> tuple[Tensor | None, ...]:
+        vertices, faces, shapes = ctx.saved_tensors
+        upstream = means_grad.contiguous(), covars_grad.contiguous()
+        corners = vertices.new_empty(len(vertices), len(faces), 9)
+        found = torch.empty_like(vertices)
+        shapes_grad = torch.empty_like(shapes) if ctx.needs_input_grad[1] else None
+        ctx.library.face_gaussians_backward(
+            *ctx.sizes, *pointers(vertices, faces, shapes, *upstream, *ctx.lists),
+            *pointers(corners, found, shapes_grad),
+        )  # fmt: skip
+        return found, shapes_grad, None, None, None

@@ -171,7 +171,7 @@ def test_shades_are_of_the_normals_of_the_posed_mesh_in_the_cameras_axes(loud, b
     normals = torch.nn.functional.normalize(normals.sum(1), dim=1) @ camera.viewmat[:3, :3].T
     beyond = loud.shades(torch.zeros(1, 3))
     wanted = torch.where(met, loud.shades(normals), beyond)
-    found = loud.shading_map(vertices, seen.alpha[0], camera)
+    (found,) = loud.shading_maps(vertices[None], seen.alpha, camera)
     assert met.sum() > 20
     assert (~met & (seen.alpha[0].flatten() > 0)).sum() > 20  # wide Gaussians reach beyond the mesh
     assert (wanted - beyond)[met].abs().mean() > 0.2
@@ -180,8 +180,8 @@ def test_shades_are_of_the_normals_of_the_posed_mesh_in_the_cameras_axes(loud, b
 
 def test_pixels_that_nothing_covers_are_not_asked_for_a_shade(loud, bent, camera):
     seen = drawn(loud, bent, camera)
-    nothing = loud.shading_map(seen.vertices[0], torch.zeros(24, 24), camera)
-    assert torch.equal(nothing, loud.shades(torch.zeros(1, 3)).expand(24, 24))
+    nothing = loud.shading_maps(seen.vertices, torch.zeros(1, 24, 24), camera)
+    assert torch.equal(nothing, loud.shades(torch.zeros(1, 3)).expand(1, 24, 24))
 
 
 def test_a_shade_sees_the_normal_itself_as_well_as_its_encoding(loud):
@@ -330,8 +330,8 @@ def test_shading_alone_moves_vertices_by_their_normals(loud, bent, camera):
     seen = drawn(silent(loud), bent, camera)
     with torch.no_grad():
         loud.shading.last.weight.normal_(generator=seeded(5))
-    posed = seen.vertices[0].detach().requires_grad_()
-    loud.shading_map(posed, seen.alpha[0], camera).sum().backward()
+    posed = seen.vertices.detach().requires_grad_()
+    loud.shading_maps(posed, seen.alpha, camera).sum().backward()
     assert posed.grad.any()
 
 
