@@ -62,8 +62,8 @@ struct Frame {
     Vec first, second, normal;   // normal: unit, or nothing of a flat face
     float cosine, sine;          // of the angle from `towards` to `first`
     float twice, longer;         // of that angle doubled: its tangent
-    float area;                  // of `first` and `second`
-    bool round, flat;
+    float area;                  // of `first` and `second`; 0 of a flat face
+    bool round;
 };
 
 inline Frame frame(const Corners &p) {
@@ -93,20 +93,17 @@ inline Frame frame(const Corners &p) {
     f.second = f.cosine * f.along - f.sine * f.towards;
     const Vec normal = cross(f.first, f.second);
     const float area = dot(normal, normal);
-    f.flat = area <= FLAT * FLAT;
-    f.area = f.flat ? 0 : std::sqrt(area);
-    f.normal = f.flat ? Vec{0, 0, 0} : (1 / f.area) * normal;
+    f.area = area <= FLAT * FLAT ? 0 : std::sqrt(area);
+    f.normal = f.area == 0 ? Vec{0, 0, 0} : (1 / f.area) * normal;
     return f;
 }
 
 // Gradients of the corners, given those of the middle and of the frame's columns.
 inline void frame_backward(const Frame &f, float thickness, Vec middle, Vec first, Vec second,
                            Vec normal, float *corner_grads) {
-    if (!f.flat) {
-        const Vec area = unit_backward(f.normal, f.area, 0, thickness * normal);
-        first = first + cross(f.second, area);
-        second = second + cross(area, f.first);
-    }
+    const Vec area = unit_backward(f.normal, f.area, 0, thickness * normal);
+    first = first + cross(f.second, area);
+    second = second + cross(area, f.first);
     Vec towards = f.cosine * first - f.sine * second;
     Vec along = f.sine * first + f.cosine * second;
     if (!f.round) {

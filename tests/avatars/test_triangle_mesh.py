@@ -156,6 +156,7 @@ def test_lists_are_found_once_and_anew_for_other_faces_or_another_number_of_rows
     first = corner_lists(faces, 7)
     assert corner_lists(faces, 7) is first
     assert len(corner_lists(faces, 9).starts) == 10
+    assert corner_lists(faces, 7).items.tolist() == first.items.tolist()
     faces[3] = torch.tensor([5, 6, 0])
     assert corner_lists(faces, 7).items.tolist() != first.items.tolist()
 
