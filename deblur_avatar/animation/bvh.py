@@ -1,9 +1,9 @@
 """Biovision hierarchy files (`.bvh`): a skeleton, and its joint angles over time.
 
 Conventions. Angles are in degrees and multiply in the order in which a joint's channels are listed,
-the first outermost; a position channel replaces that component of the root's offset, those of other
-joints are ignored. Axes and unit of length are the file's own: `animation/retargeting.py` finds the
-former and is indifferent to the latter.
+the first outermost; a position channel replaces that component of the joint's offset, as Blender
+reads it, too. Axes and unit of length are the file's own: `animation/retargeting.py` finds the
+former, is indifferent to the latter, and says which joints' positions it follows.
 """
 
 import re
@@ -20,7 +20,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 
 MAX_VALUE = 1e9  # of any number, in degrees or the file's unit of length
-MAX_TURNS = 5_000_000  # frames times joints: 72 bytes each
+MAX_TURNS = 5_000_000  # frames times joints: 96 bytes each
 SHORTEST_STEP = 1e-6  # seconds
 _POSITIONS = {"Xposition": 0, "Yposition": 1, "Zposition": 2}
 _ROTATIONS = {"Xrotation": 0, "Yrotation": 1, "Zrotation": 2}
@@ -129,7 +129,8 @@ def _motion(lines: _Lines, path: Path, frames: int, width: int) -> NDArray[np.fl
 def _assemble(joints: list[_Joint], values: NDArray[np.float64], fps: float) -> SkeletonMotion:
     table = torch.from_numpy(values)
     rotations = torch.eye(3, dtype=torch.float64).repeat(len(table), len(joints), 1, 1)
-    positions = torch.tensor(joints[0].offset, dtype=torch.float64).repeat(len(table), 1)
+    offsets = torch.tensor([joint.offset for joint in joints], dtype=torch.float64)
+    positions = {0: offsets[0].repeat(len(table), 1)}
     column = 0
     for index, joint in enumerate(joints):
         for channel in joint.channels:
@@ -137,16 +138,18 @@ def _assemble(joints: list[_Joint], values: NDArray[np.float64], fps: float) -> 
                 axis_angle = torch.zeros(len(table), 3, dtype=torch.float64)
                 axis_angle[:, _ROTATIONS[channel]] = torch.deg2rad(table[:, column])
                 rotations[:, index] = rotations[:, index] @ axis_angle_to_matrix(axis_angle)
-            elif index == 0:
-                positions[:, _POSITIONS[channel]] = table[:, column]
+            else:
+                if index not in positions:
+                    positions[index] = offsets[index].repeat(len(table), 1)
+                positions[index][:, _POSITIONS[channel]] = table[:, column]
             column += 1
     return SkeletonMotion(
         fps=fps,
         names=tuple(joint.name for joint in joints),
         parents=tuple(joint.parent for joint in joints),
-        offsets=torch.tensor([joint.offset for joint in joints], dtype=torch.float64),
+        offsets=offsets,
         rotations=rotations,
-        root_positions=positions,
+        positions=positions,
     )
 
 

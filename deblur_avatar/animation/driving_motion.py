@@ -39,7 +39,9 @@ class SkeletonMotion:
     """A named skeleton of any rest pose in motion, in the file's own axes and unit of length.
 
     `rotations` turn each joint relative to its parent; `offsets` lead from the parent to the joint
-    while all rotations are the identity. Leaves may be mere ends of bones.
+    while all rotations are the identity. `positions` of some joints, of the root always, stand in
+    for these over time: the root's in the world, others' in their parents' frames. Leaves may be
+    mere ends of bones.
     """
 
     fps: float
@@ -47,7 +49,7 @@ class SkeletonMotion:
     parents: tuple[int, ...]
     offsets: Float[Tensor, "J 3"]
     rotations: Float[Tensor, "F J 3 3"]
-    root_positions: Float[Tensor, "F 3"]
+    positions: dict[int, Float[Tensor, "F 3"]]  # by joint
 
 
 def resample(motion: BodyMotion, fps: float, start: float, seconds: float) -> BodyMotion:

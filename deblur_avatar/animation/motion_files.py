@@ -1,5 +1,6 @@
 """A motion by its name in the parameters: built in, or a file of one of three formats."""
 
+import logging
 from pathlib import Path
 
 from jaxtyping import Float
@@ -10,9 +11,11 @@ from deblur_avatar.animation.amass import read_amass
 from deblur_avatar.animation.builtin_motions import builtin_motion
 from deblur_avatar.animation.bvh import read_bvh
 from deblur_avatar.animation.driving_motion import BodyMotion, resample
-from deblur_avatar.animation.retargeting import retarget
+from deblur_avatar.animation.retargeting import moving_bones, retarget
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.errors import ArtifactError, ConfigError
+
+logger = logging.getLogger(__name__)
 
 BUILTIN = "builtin:"
 
@@ -59,10 +62,19 @@ def _read(path: Path, body: Body, betas: Float[Tensor, " B"]) -> BodyMotion:
     match path.suffix.lower():
         case ".bvh":
             try:
-                return retarget(read_bvh(path), body, betas)
+                skeleton = read_bvh(path)
+                motion, moving = retarget(skeleton, body, betas), moving_bones(skeleton)
             except ArtifactError as error:
                 prefix = "" if str(path) in str(error) else f"{path}: "
                 raise ArtifactError(f"{prefix}{error}") from None
+            if moving:
+                logger.warning(
+                    "%s: positions of %s change, which is not read: below the hips bones are "
+                    "rigid, and only turn",
+                    path,
+                    ", ".join(moving),
+                )
+            return motion
         case ".npz":
             return read_amass(path)
         case ".pkl":

@@ -7,8 +7,15 @@ joint's own frame, from the directions of the bones and from how elbows and knee
 `world_from_local @ local_from_rest` is the world rotation of SMPL's joint. Bones of arms and legs
 point exactly as in the file, whatever the proportions.
 
+The hips go where all joints above carry them: many files have a root that stands still and the
+person's way in the positions of its child. Below the hips bones are rigid, as a person's are: a
+joint that leaves its place there is named by `moving_bones` and read as if it did not. How it turns
+is still right, and who refused it would refuse every rig whose shoulders slide a little.
+
 Conventions. `Body`'s: +X to the person's left, +Y up, +Z forward. Everything in float64.
 """
+
+import dataclasses
 
 import torch
 from jaxtyping import Float
@@ -27,6 +34,8 @@ from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axi
 
 STANDING = 0.25  # share of the frames, those with the ankle lowest, in which a foot is flat
 MIN_BEND = 0.05  # mean sine of a hinge's angle, below which it tells nothing about the twist
+LOOSE = 0.01  # of a leg's length: what a joint may leave its place by and count as resting there
+LEG = (("left_hip", "left_knee"), ("left_knee", "left_ankle"))
 _, UP, FORWARD = torch.eye(3, dtype=torch.float64)
 _INDEX = {name: index for index, name in enumerate(SMPL_JOINT_NAMES)}
 
@@ -42,6 +51,7 @@ def retarget(motion: SkeletonMotion, body: Body, betas: Float[Tensor, " B"]) -> 
         ArtifactError: if a joint that is needed cannot be recognised by its name; lists both sides.
     """
     rig = recognise(motion.names, motion.parents)
+    motion = _carried(motion, rig)
     rest = shaped_joints(body, betas).double()
     upright = _upright(motion, rig)
     turned = upright @ world_rotations(motion)
@@ -56,6 +66,17 @@ def retarget(motion: SkeletonMotion, body: Body, betas: Float[Tensor, " B"]) -> 
         body_pose=axis_angle[:, 1:],
         transl=(pelvis - rest[0]).to(betas.dtype),
     )
+
+
+def moving_bones(motion: SkeletonMotion) -> tuple[str, ...]:
+    """Joints below the hips that leave their place on their parents, which `retarget` ignores.
+
+    Raises:
+        ArtifactError: as `retarget`.
+    """
+    rig = recognise(motion.names, motion.parents)
+    body = {step for joint in rig.values() for step in _path(motion, rig["pelvis"], joint)}
+    return tuple(motion.names[joint] for joint in sorted(body & _off_their_place(motion, rig)))
 
 
 def world_rotations(motion: SkeletonMotion) -> Float[Tensor, "F J 3 3"]:
@@ -73,10 +94,41 @@ def world_positions(motion: SkeletonMotion) -> Float[Tensor, "F J 3"]:
     places: list[Tensor] = []
     for joint, parent in enumerate(motion.parents):
         if parent < 0:
-            places.append(motion.root_positions.double())
+            places.append(motion.positions[joint].double())
+        elif joint in motion.positions:
+            local = motion.positions[joint].double()[..., None]
+            places.append(places[parent] + (turned[:, parent] @ local)[..., 0])
         else:
             places.append(places[parent] + turned[:, parent] @ motion.offsets[joint].double())
     return torch.stack(places, dim=1)
+
+
+def _carried(motion: SkeletonMotion, rig: dict[str, int]) -> SkeletonMotion:
+    """Leave positions to the joints that carry the hips, where they say more than offsets do."""
+    kept, joint = set(), rig["pelvis"]
+    while motion.parents[joint] >= 0:
+        kept.add(joint)
+        joint = motion.parents[joint]
+    kept = {joint} | (kept & _off_their_place(motion, rig))
+    positions = {key: places for key, places in motion.positions.items() if key in kept}
+    return dataclasses.replace(motion, positions=positions)
+
+
+def _off_their_place(motion: SkeletonMotion, rig: dict[str, int]) -> set[int]:
+    """Joints, other than roots, whose positions are not their offset all the time.
+
+    Programs that write positions for all joints repeat the offset there, to 1e-5, or write zeros.
+    """
+    limit = LOOSE * _leg_length(motion, rig)
+
+    def rests(joint: int) -> bool:
+        places = motion.positions[joint].double()
+        return any(
+            float((places - place).norm(dim=-1).max()) <= limit
+            for place in (motion.offsets[joint].double(), torch.zeros_like(places[0]))
+        )
+
+    return {joint for joint in motion.positions if motion.parents[joint] >= 0 and not rests(joint)}
 
 
 def _upright(motion: SkeletonMotion, rig: dict[str, int]) -> Float[Tensor, "3 3"]:
@@ -92,13 +144,18 @@ def _upright(motion: SkeletonMotion, rig: dict[str, int]) -> Float[Tensor, "3 3"
 
 def _scale(motion: SkeletonMotion, rig: dict[str, int], rest: Tensor) -> float:
     """Length of the person's legs over that of the skeleton's."""
-    ours = theirs = 0.0
-    for upper, lower in (("left_hip", "left_knee"), ("left_knee", "left_ankle")):
-        ours += float((rest[_INDEX[lower]] - rest[_INDEX[upper]]).norm())
-        theirs += sum(
+    ours = sum(float((rest[_INDEX[lower]] - rest[_INDEX[upper]]).norm()) for upper, lower in LEG)
+    return ours / _leg_length(motion, rig)
+
+
+def _leg_length(motion: SkeletonMotion, rig: dict[str, int]) -> float:
+    """In the file's unit."""
+    length = 0.0
+    for upper, lower in LEG:
+        length += sum(
             float(motion.offsets[step].norm()) for step in _path(motion, rig[upper], rig[lower])
         )
-    return ours / theirs
+    return length
 
 
 def _rest_frames(

@@ -13,6 +13,7 @@ from pathlib import Path
 import deblur_avatar
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.pipeline.code import PIPELINE
+from deblur_avatar.run import write_text
 
 PARAMS, SCRIPTS, SHIPPED = "params.yaml", "stages", "pipeline_files"
 CHECKOUT = (PIPELINE, PARAMS, SCRIPTS)  # what a checkout of the repository has
@@ -41,6 +42,8 @@ class Home:
     def install(self) -> None:
         """Write what the folder needs besides its parameters: copies that follow the package.
 
+        DVC's settings are the user's to change, once written.
+
         Raises:
             ArtifactError: if the disk refuses.
         """
@@ -53,8 +56,9 @@ class Home:
                 ignored = shutil.ignore_patterns("__pycache__")
                 shutil.copytree(self.source / SCRIPTS, scripts, ignore=ignored)
                 shutil.copy(self.source / PARAMS, self.root / PARAMS)
-                (self.folder / ".dvc").mkdir(exist_ok=True)
-                (self.folder / ".dvc/config").write_text(DVC_CONFIG)
+                config = self.folder / ".dvc/config"
+                if not config.exists():  # its user may have added a remote to it
+                    write_text(config, DVC_CONFIG)
         except OSError as error:
             raise ArtifactError(f"cannot write {self.folder}: {error}") from error
 

@@ -96,9 +96,9 @@ class RunOnDisk:
         Where the warm-up was just made again, what later stages left is of an earlier fit.
         """
         warmup = self._outs["warmup"]
-        made = warmup.stat().st_mtime if warmup.is_dir() else 0.0
+        made = _touched(warmup)
         kept = (one for one in self._newest_first() if one.place.is_dir())
-        return next((k for k in kept if k.place == warmup or k.place.stat().st_mtime >= made), None)
+        return next((k for k in kept if k.place == warmup or _touched(k.place) >= made), None)
 
     def all_kept(self) -> list[Kept]:
         """All avatars on the way to the newest, in their order."""
@@ -155,9 +155,14 @@ class RunOnDisk:
         return out.with_name(f".{out.name}.unfinished")
 
     def _running(self) -> str | None:
-        """The stage that was at work last and has not ended."""
-        begun = [stage for stage in STAGES if self._unfinished(stage).is_dir()]
-        return max(begun, key=lambda s: self._unfinished(s).stat().st_mtime, default=None)
+        """The stage that was at work last and has not ended.
+
+        A fit of another schedule that was stopped is passed over, once DVC has brought back what
+        the present one had made.
+        """
+        begun = {stage: _touched(self._unfinished(stage)) for stage in STAGES}
+        going = [s for s in STAGES if begun[s] and begun[s] >= _touched(self._outs[s])]
+        return max(going, key=lambda stage: begun[stage], default=None)
 
     def _newest_first(self) -> Iterator[Kept]:
         """While a stage runs, what later stages left is of an earlier fit."""
@@ -188,6 +193,14 @@ def check_same_frames(name: str, motion: Motion, observations: Observations) -> 
             f"{_frames(observations.timestamps)}; run again what fits it (`deblur-avatar video`, "
             "`dvc repro`), to its end"
         )
+
+
+def _touched(folder: Path) -> int:
+    """When something was made or removed in a folder last, in ns; 0 where there is none."""
+    try:
+        return folder.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
 
 
 def _frames(timestamps: Float[Tensor, " F"]) -> str:

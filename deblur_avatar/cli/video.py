@@ -27,7 +27,7 @@ from pathlib import Path
 
 from deblur_avatar.body_estimation.pose_model import installed_model
 from deblur_avatar.cli.avatar_params import BODY, PAGE, name_of, prepare
-from deblur_avatar.cli.footage_contents import followed_footage
+from deblur_avatar.cli.footage_contents import contents_of, followed_footage
 from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.run_on_disk import RunOnDisk
 from deblur_avatar.cli.running_dvc import reproduce
@@ -74,17 +74,19 @@ def run(asked: argparse.Namespace) -> int:
     """Prepare and run; returns DVC's exit code.
 
     Raises:
-        ConfigError: if something cannot be run as asked, or is not installed.
+        ConfigError: if something cannot be run as asked, is not installed, or `clip` names a file
+            that is not there.
         ArtifactError: if the video cannot be read, or the disk refuses.
     """
     _check_installed()
     name = asked.name or name_of(asked.video)
     home = prepare(asked.video, name, asked.method, asked.schedule, Path())
+    contents = contents_of(home.folder, name)
     run = f"{name}-{asked.method}"
     sharing = home.independent and not asked.own_body  # a checkout's avatars share one anyway
     code = make_body(home.folder, BODY) if sharing else 0
     if code == 0:
-        with followed_footage(home, name, BODY) as code:
+        with followed_footage(home, name, BODY, contents) as code:
             code = code or reproduce(*_better_poses(home.folder, name), folder=home.folder)
             code = code or (_first_look(home, run) if asked.preview else 0)
             code = code or reproduce(*targets(name, asked.method), folder=home.folder)

@@ -54,12 +54,20 @@ def shown_motions(
         seconds: longest duration of what was not filmed.
 
     Raises:
-        ConfigError: if there is no such motion, a name is there twice, there would be too many
+        ConfigError: if there is no such motion, two would have one name, there would be too many
             frames, or the person cannot be placed.
         ArtifactError: if a file is damaged.
     """
     if not names or len(set(names)) != len(names):
         raise ConfigError(f"export: motions must be named, each once, got {list(names)}")
+    called: dict[str, str] = {}
+    for name in names:
+        other = called.setdefault(_called(name), name)
+        if other != name:
+            raise ConfigError(
+                f"export: {other} and {name} would both be called {_called(name)!r}, and the first "
+                "be lost; rename one file"
+            )
     if fps * seconds > MOST_FRAMES:
         raise ConfigError(
             f"export: {seconds:g} seconds at {fps:g} frames a second are more than {MOST_FRAMES:,} "
@@ -88,10 +96,15 @@ def _driven(run: FittedRun, name: str, fps: float, seconds: float) -> ShownMotio
         poses = place(motion, observations.body, filmed, viewmat, turns=0.0, travel=1.0)
     except ValueError as error:
         raise ConfigError(f"export: {name}: {error}") from None
-    known = name.removeprefix(BUILTIN) if name.startswith(BUILTIN) else Path(name).stem
+    known = _called(name)
     label = known.replace("_", " ").capitalize()
     times = torch.arange(len(poses.transl)) / motion.fps
     return ShownMotion(known, label, times, poses)
+
+
+def _called(name: str) -> str:
+    """What a motion is called where it is shown, before it is read."""
+    return name.removeprefix(BUILTIN) if name.startswith(BUILTIN) else Path(name).stem
 
 
 def even_motion(run: FittedRun, name: str, fps: float, seconds: float) -> tuple[ShownMotion, float]:

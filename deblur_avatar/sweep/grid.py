@@ -4,6 +4,7 @@ Clones hold what is committed and share the cache, so that what combinations hav
 once. An experiment ends as a commit that `dvc exp show` and `dvc exp apply` know.
 """
 
+import hashlib
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,7 @@ from deblur_avatar.errors import ConfigError
 from deblur_avatar.sweep.tasks import Task
 
 MEMORY_MB = 900.0  # of a fit at 192 pixels, with DVC
+LONGEST = 200  # letters of a name, which git makes a file of: file systems take 255
 
 
 def grid(asked: Sequence[str]) -> list[dict[str, str]]:
@@ -35,9 +37,15 @@ def grid(asked: Sequence[str]) -> list[dict[str, str]]:
 
 
 def name_of(chosen: dict[str, str]) -> str:
-    """What an experiment is called: the last word of each key, and its value."""
-    words = (f"{re.split(r'[.:]', key)[-1]}-{value}" for key, value in chosen.items())
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", "_".join(words)).replace("..", ".")
+    """What an experiment is called: each whole key and its value, in letters that git allows.
+
+    Whole, since an experiment takes the place of one of its name: that of another key that ends in
+    the same word, say. What would be too long ends in a digest.
+    """
+    whole = "_".join(f"{key}-{value}" for key, value in chosen.items())
+    name = re.sub(r"[^A-Za-z0-9_.-]|\.(?=\.|lock$|$)", "-", whole).lstrip(".-")
+    digest = hashlib.sha256(whole.encode()).hexdigest()[:8]
+    return name if len(name) <= LONGEST else f"{name[:LONGEST]}-{digest}"
 
 
 def tasks_of(

@@ -74,22 +74,27 @@ def test_the_first_channel_is_the_outermost_turn(written, order):
 def test_a_root_without_places_stays_at_its_offset(written):
     text = ARM.replace("CHANNELS 6 Xposition Yposition Zposition", "CHANNELS 3")
     text = text.replace("1 2 3 ", "")
-    assert read_bvh(written(text)).root_positions[0].tolist() == [0, 90, 0]
+    assert read_bvh(written(text)).positions[0][0].tolist() == [0, 90, 0]
 
 
 def test_a_missing_place_channel_leaves_the_offset(written):
     text = ARM.replace("CHANNELS 6 Xposition Yposition Zposition", "CHANNELS 4 Yposition")
     text = text.replace("1 2 3 ", "2 ")
-    assert read_bvh(written(text)).root_positions[0].tolist() == [0, 2, 0]
+    assert read_bvh(written(text)).positions[0][0].tolist() == [0, 2, 0]
 
 
-def test_place_channels_of_other_joints_are_skipped(written):
-    channels = "CHANNELS 6 Xposition Yposition Zposition Yrotation Zrotation Xrotation"
+def test_place_channels_of_other_joints_are_in_their_parents_frames(written):
+    channels = "CHANNELS 5 Zposition Xposition Yrotation Zrotation Xrotation"
     text = ARM.replace("CHANNELS 3 Yrotation Zrotation Xrotation", channels)
-    text = text.replace("0 0 0 0 0 0\n", "0 0 0 7 7 7 0 0 0\n")
-    text = text.replace("90 0 0 90 0 90\n", "90 0 0 7 7 7 90 0 90\n")
+    text = text.replace("0 0 0 0 0 0\n", "0 0 0 7 8 0 0 0\n")
+    text = text.replace("90 0 0 90 0 90\n", "90 0 0 7 8 90 0 90\n")
     changed, original = read_bvh(written(text)), read_bvh(written(ARM))
-    torch.testing.assert_close(world_positions(changed), world_positions(original))
+    assert set(original.positions) == {0}
+    assert changed.positions[1].tolist() == [[8, 0, 7], [8, 0, 7]]  # y is the offset's
+    assert changed.offsets.tolist() == original.offsets.tolist()
+    # The root turns 90 degrees about z, as in the hand calculation above: x becomes y.
+    expected = torch.tensor([[[1.0, 2, 3], [9, 2, 10]], [[1, 2, 3], [1, 10, 10]]]).double()
+    torch.testing.assert_close(world_positions(changed)[:, :2], expected)
     torch.testing.assert_close(world_rotations(changed), world_rotations(original))
 
 

@@ -1,4 +1,5 @@
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.bodies.posed_body import posed_joints
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from tests.animation.skeleton_text import bvh
+from tests.animation.test_retargeting import acted, as_rig, odd_frames, under_a_reference
 
 INDEX = {name: index for index, name in enumerate(SMPL_JOINT_NAMES)}
 
@@ -197,6 +200,28 @@ def test_an_unknown_or_missing_motion_names_the_choices(body, tmp_path):
         ConfigError, match=r"motion\.npz: the motion lasts 0\.03 s, it cannot start"
     ):
         read_motion(short, body, torch.zeros(2), fps=30.0, start=2.0, seconds=1.0)
+
+
+def test_a_skeleton_is_read_under_a_root_that_stands_still(body, tmp_path, caplog):
+    motion = as_rig(body, *acted(frames=8), frames_of_joints=odd_frames(0), unit=100.0)
+    plain, carried = tmp_path / "plain.bvh", tmp_path / "carried.bvh"
+    plain.write_text(bvh(motion))
+    carried.write_text(bvh(under_a_reference(motion)))
+    options = {"fps": 30.0, "start": 0.0, "seconds": 1.0}
+    read = [read_motion(str(path), body, torch.zeros(2), **options) for path in (plain, carried)]
+    assert read[0].transl[:, 2].diff().min() > 0.01
+    torch.testing.assert_close(read[1].transl, read[0].transl, atol=1e-5, rtol=0)
+    assert caplog.messages == []
+
+
+def test_joints_whose_places_are_not_read_are_named_with_their_file(body, tmp_path, caplog):
+    motion = as_rig(body, *acted(frames=8), frames_of_joints=odd_frames(0), unit=100.0)
+    sliding = motion.offsets[16] + torch.linspace(0, 5, 8).double()[:, None]
+    path = tmp_path / "sliding.bvh"
+    path.write_text(bvh(replace(motion, positions=motion.positions | {16: sliding})))
+    read_motion(str(path), body, torch.zeros(2), fps=30.0, start=0.0, seconds=1.0)
+    (said,) = caplog.messages
+    assert said.startswith(f"{path}: positions of LeftArm change, which is not read")
 
 
 def test_a_skeleton_of_unknown_names_is_refused_with_its_file(body, tmp_path):

@@ -7,7 +7,7 @@ import torch
 
 from deblur_avatar.animation.bvh import read_bvh
 from deblur_avatar.animation.driving_motion import SkeletonMotion
-from deblur_avatar.animation.retargeting import retarget, world_positions
+from deblur_avatar.animation.retargeting import moving_bones, retarget, world_positions
 from deblur_avatar.animation.rig_names import recognise
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, SMPL_PARENTS
 from deblur_avatar.bodies.posed_body import (
@@ -78,8 +78,30 @@ def as_rig(body, pose, transl, *, frames_of_joints, turn=None, unit=1.0, names=M
     return SkeletonMotion(
         fps=30.0, names=names, parents=SMPL_PARENTS, offsets=torch.stack(offsets),
         rotations=torch.stack(local, 1),
-        root_positions=(transl + rest[0]) @ turn.T * unit,
+        positions={0: (transl + rest[0]) @ turn.T * unit},
     )  # fmt: skip
+
+
+def under_a_reference(motion, *, moves=False):
+    """The same under a new root, which stands still somewhere or moves; its child has the way.
+
+    The child's offset is of another pose, as Bandai Namco's files have it.
+    """
+    frames = len(motion.rotations)
+    time = torch.linspace(0, 1, frames).double() if moves else torch.ones(frames).double()
+    turned = axis_angle_to_matrix(time[:, None] * torch.tensor([0.3, -0.8, 0.5]).double())
+    place = time[:, None] * torch.tensor([40.0, -10.0, 30.0]).double()
+    below = turned.mT @ motion.rotations[:, 0]
+    offsets = motion.offsets.clone()
+    offsets[0] = torch.tensor([0.8, 94.0, -452.0])
+    return dataclasses.replace(
+        motion,
+        names=("Reference", *motion.names),
+        parents=(-1, *(parent + 1 for parent in motion.parents)),
+        offsets=torch.cat([torch.zeros(1, 3).double(), offsets]),
+        rotations=torch.cat([turned[:, None], below[:, None], motion.rotations[:, 1:]], 1),
+        positions={0: place, 1: (turned.mT @ (motion.positions[0] - place)[..., None])[..., 0]},
+    )
 
 
 def odd_frames(seed):
@@ -146,6 +168,49 @@ def test_pelvis_and_jumps_scale_with_the_legs(body):
     rest = shaped_joints(body, torch.zeros(2))[0]
     got = made.transl + shaped_joints(body, tall)[0]
     torch.testing.assert_close(got, (1.2 * (transl + rest)).float(), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_hips_go_where_the_joints_above_carry_them(body, moves):
+    pose, transl = acted()
+    motion = as_rig(body, pose, transl, frames_of_joints=odd_frames(1), unit=100.0)
+    carried = under_a_reference(motion, moves=moves)
+    plain = retarget(motion, body, torch.zeros(2))
+    made = retarget(carried, body, torch.zeros(2))
+    assert (plain.transl.amax(0) - plain.transl.amin(0)).min() > 0.1  # it does travel
+    torch.testing.assert_close(made.transl, plain.transl, atol=1e-5, rtol=0)
+    torch.testing.assert_close(made.global_orient, plain.global_orient, atol=1e-5, rtol=0)
+    torch.testing.assert_close(made.body_pose, plain.body_pose, atol=1e-5, rtol=0)
+    assert moving_bones(carried) == ()
+
+
+@pytest.mark.parametrize("written", ["offsets", "zeros"])
+def test_positions_of_joints_that_rest_change_nothing(body, written):
+    pose, transl = acted()
+    rig = as_rig(body, pose, transl, frames_of_joints=odd_frames(1), unit=100.0)
+    carried = under_a_reference(rig, moves=True)
+    motion = dataclasses.replace(carried, positions={0: carried.positions[0]})  # hips rest, too
+    noise = 1e-5 * torch.randn(len(pose), 25, 3, generator=torch.Generator().manual_seed(0))
+    resting = noise + (motion.offsets if written == "offsets" else 0)
+    everywhere = {joint: resting[:, joint] for joint in range(25)} | motion.positions
+    made = retarget(dataclasses.replace(motion, positions=everywhere), body, torch.zeros(2))
+    plain = retarget(motion, body, torch.zeros(2))
+    assert torch.equal(made.transl, plain.transl)
+    assert torch.equal(made.body_pose, plain.body_pose)
+    assert moving_bones(dataclasses.replace(motion, positions=everywhere)) == ()
+
+
+def test_joints_below_the_hips_that_leave_their_place_are_named(body):
+    pose, transl = acted()
+    motion = as_rig(body, pose, transl, frames_of_joints=odd_frames(1), unit=100.0)
+    loose = {
+        joint: motion.offsets[joint] + torch.linspace(0, size, len(pose)).double()[:, None]
+        for joint, size in ((9, 5.0), (16, 5.0), (17, 0.01), (23, 5.0))  # the last is a finger's
+    }
+    sliding = dataclasses.replace(motion, positions=motion.positions | loose)
+    assert moving_bones(sliding) == ("Spine2", "LeftArm")
+    made, plain = (retarget(one, body, torch.zeros(2)) for one in (sliding, motion))
+    assert torch.equal(made.body_pose, plain.body_pose)
 
 
 def test_any_vertical_axis_is_stood_upright(body):

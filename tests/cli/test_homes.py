@@ -50,6 +50,17 @@ def test_its_pipeline_follows_the_package_and_its_parameters_stay(folder):
     assert "field_of_view: 75.0" in own.read_text()
 
 
+def test_a_remote_that_its_user_has_added_stays(folder):
+    config = folder / ".dvc/config"
+    assert "no_scm = True" in config.read_text()
+    command = [sys.executable, "-m", "dvc", "remote", "add", "--default", "lab", "/mnt/lab"]
+    subprocess.run(command, cwd=folder, check=True)
+    added = config.read_text()
+    assert "url = /mnt/lab" in added
+    prepare(Path("clip.mp4"), "clip", "lean", "medium", Path())
+    assert config.read_text() == added
+
+
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path):
     (tmp_path / "clip").mkdir()
     with pytest.raises(ConfigError, match="holds no avatar, .* --name clip_avatar"):

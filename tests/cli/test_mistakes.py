@@ -110,6 +110,10 @@ MISTAKES = [
         "motions must be named, each once",
     ),
     Mistake(
+        "fitted", "export capsules-lean --format page --out a.html --motions own own.npz", 1,
+        "own and own.npz would both be called 'own'",
+    ),
+    Mistake(
         "fitted", "export capsules-lean --format page --out a.html --fps nan", 1,
         "fps: input should be a finite number",
     ),

@@ -1,5 +1,6 @@
 """What fitting leaves on disk on its way."""
 
+import os
 import shutil
 
 import pytest
@@ -50,6 +51,23 @@ def test_while_a_stage_runs_later_ones_are_of_an_earlier_fit(fitting, begin, end
     assert on_disk.newest().iteration == 9
     assert on_disk.seconds_left() == 16.0  # 4 steps took 8 s, 8 are left
     end("trajectory")
+    assert on_disk.seconds_left() is None
+
+
+@pytest.mark.parametrize("stopped", ["warmup", "trajectory", "fusion"])
+def test_a_stopped_fit_is_passed_over_once_the_former_one_is_back(fitting, begin, end, stopped):
+    for stage in ("warmup", "trajectory", "fusion"):
+        end(stage)
+    begin(stopped, snapshots=(3,), saved=4, seconds=8.0)  # of another schedule
+    on_disk = RunOnDisk(fitting, "anna-lean")
+    assert on_disk.newest().iteration == 3
+    item = "capsules-blurred-lean" if stopped == "warmup" else "anna-lean"
+    begun = fitting / f"data/{stopped}/.{item}.unfinished"
+    checked_out = begun.stat().st_mtime_ns + 10**9
+    os.utime(fitting / "data" / stopped / item, ns=(checked_out, checked_out))
+    assert begun.is_dir()
+    assert (on_disk.newest().iteration, on_disk.newest().whole) == (18, True)
+    assert on_disk.standing() == Standing(18, 18, None)
     assert on_disk.seconds_left() is None
 
 

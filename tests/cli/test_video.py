@@ -287,6 +287,56 @@ def test_files_that_lie_in_an_avatars_folder_are_followed_too(root, video, monke
     assert "clip.path: set the environment variable CLIPS" in capsys.readouterr().err
 
 
+@pytest.fixture
+def brought(root, video, tmp_path_factory, monkeypatch):
+    """What a finished avatar's clip was made of, by key; far from a checkout."""
+    monkeypatch.chdir(tmp_path_factory.mktemp("anywhere"))
+    folder = prepare(video, "anna", "lean", None, Path()).folder
+    places = {"path": video} | {key: root / key for key in ("masks", "keypoints", "poses")}
+    text = (folder / "params.yaml").read_text()
+    for key in ("masks", "keypoints", "poses"):
+        places[key].mkdir()
+        (places[key] / "0").touch()
+        text = text.replace(f" {key}: null", f" {key}: {places[key]}")
+    (folder / "params.yaml").write_text(text)
+    (folder / "data/clip/anna/frames").mkdir(parents=True)
+    Pipeline(monkeypatch, lambda word: 3 if "check@" in word else 0)
+    assert main(["video", str(video), "--name", "anna"]) == 3
+    return places
+
+
+def refusal(video, monkeypatch, capsys):
+    """The only line that is said, once nothing was run and nothing is gone or remembered."""
+    pipeline, record = Pipeline(monkeypatch), Path("anna/footage.json").read_text()
+    capsys.readouterr()
+    assert main(["video", str(video), "--name", "anna"]) == 1
+    assert pipeline.asked == []
+    assert Path("anna/data/clip/anna/frames").exists()
+    assert Path("anna/footage.json").read_text() == record
+    (said,) = capsys.readouterr().err.splitlines()
+    return said
+
+
+@pytest.mark.parametrize("key", ["path", "masks", "keypoints", "poses"])
+def test_a_file_that_went_away_is_told_and_the_clip_stays(brought, video, monkeypatch, capsys, key):
+    brought[key].rename(brought[key].with_name("elsewhere"))
+    said = refusal(video, monkeypatch, capsys)
+    assert f"anna/params.yaml: scenes.anna.clip.{key}: nothing is at {brought[key]}; bring" in said
+
+
+def test_an_empty_folder_is_that_of_a_disk_that_is_away(brought, video, monkeypatch, capsys):
+    (brought["masks"] / "0").unlink()
+    assert "clip.masks: nothing is at" in refusal(video, monkeypatch, capsys)
+
+
+def test_a_file_that_never_was_there_is_told_and_the_clip_stays(
+    brought, video, monkeypatch, capsys
+):
+    params = Path("anna/params.yaml")
+    params.write_text(params.read_text().replace(str(brought["poses"]), "no.npz"))
+    assert "clip.poses: nothing is at anna/no.npz; bring" in refusal(video, monkeypatch, capsys)
+
+
 def test_poses_are_estimated_again_once_the_larger_model_is_there(root, video, monkeypatch):
     monkeypatch.chdir(root)
     prepare(video, "anna", "lean", None, root)

@@ -385,15 +385,19 @@ def _write_colmap_text(folder: Path) -> None:
 # --- motions ------------------------------------------------------------------------------------
 
 _BVH = """HIERARCHY
-ROOT Hips
+ROOT Reference
 {
+\tOFFSET 0.0 0.0 0.0
+\tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+\tJOINT Hips
+\t{
 \tOFFSET 0.0 90.0 0.0
 \tCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
 """
 
 
 def _write_bvh(folder: Path) -> None:
-    """A skeleton with the joints that a body of ours is driven by."""
+    """A skeleton with the joints that a body of ours is driven by, its way below the root."""
     text = _BVH + _joint("Spine", 0, 15)
     for chain, (x, y) in (
         (("Neck", "Head"), (0, 15)), (("LeftArm", "LeftForeArm", "LeftHand"), (15, 5)),
@@ -404,8 +408,8 @@ def _write_bvh(folder: Path) -> None:
         text += "".join(_joint(name, x, y) for name in chain)
         text += f"End Site\n{{\nOFFSET {x} {y} 0\n}}\n" if chain else ""
         text += "}\n" * (len(chain) or 1)  # what is empty closes the spine
-    row = " ".join(["0.5"] * 51)
-    text += "}\nMOTION\nFrames: 3\nFrame Time: 0.0333\n" + f"{row}\n" * 3
+    row = " ".join(["0.5"] * 57)
+    text += "}\n}\nMOTION\nFrames: 3\nFrame Time: 0.0333\n" + f"{row}\n" * 3
     (folder / "motion.bvh").write_text(text)
 
 

@@ -1,6 +1,7 @@
 """A grid of parameters becomes experiments that DVC knows."""
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -24,12 +25,33 @@ def test_what_is_no_grid_is_refused(words):
 
 def test_names_tell_experiments_apart_or_are_refused():
     assert name_of({"p/params.yaml:schedule": "short", "m.l.knots": "1e-3"}) == (
-        "schedule-short_knots-1e-3"
+        "p-params.yaml-schedule-short_m.l.knots-1e-3"
     )
-    tasks = tasks_of(Path(), "p/dvc.yaml", grid(["a.b=1,2"]), 10.0)
-    assert list(tasks) == ["b-1", "b-2"]
-    with pytest.raises(ConfigError, match="would be called b-1"):
-        tasks_of(Path(), "p/dvc.yaml", [{"a.b": "1"}, {"c.b": "1"}], 10.0)
+    tasks = tasks_of(Path(), "p/dvc.yaml", [*grid(["a.b=1,2"]), {"c.b": "1"}], 10.0)
+    assert list(tasks) == ["a.b-1", "a.b-2", "c.b-1"]
+    with pytest.raises(ConfigError, match="would be called a.b-x-y"):
+        tasks_of(Path(), "p/dvc.yaml", grid(["a.b=x/y,x-y"]), 10.0)
+
+
+def test_long_names_stay_apart_and_short_enough_for_a_file():
+    key = "methods.lean.trajectory.motion.knot_frames"
+    same = {f"{key}{index}": "1" for index in range(9)}
+    long = [name_of(same | {"last": value}) for value in ("1", "2")]
+    assert long[0] != long[1]
+    assert max(map(len, long)) < 220
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("../up/params.yaml:a", "1."), ("./params.yaml:a", "x.lock"), ("+a", "..."),
+        ("p/params.yaml:a.b", "~^:?*[@{ \\é"), ("a" * 400, "1"), ("a" * 198, ".."),
+    ],
+)  # fmt: skip
+def test_git_takes_every_name(key, value):
+    name = name_of({key: value})
+    assert not name.startswith("-")  # it is a command's argument
+    subprocess.run(["git", "check-ref-format", f"refs/exps/ab/cd/{name}"], check=True)
 
 
 VALUES = ("-S", f"{MORE}/params.yaml:runs.more_one.size=1,2")
@@ -53,7 +75,7 @@ def test_experiments_are_what_dvc_shows(serial, tmp_path):
     assert "2 of 2 tasks done" in done.stdout
     (shown,) = json.loads(called(project, "dvc", "exp", "show", "--json"))[1:]
     names = {one["name"] for one in shown["experiments"]}
-    assert names == {"size-1", "size-2"}
+    assert names == {f"experiments-more-params.yaml-runs.more_one.size-{size}" for size in (1, 2)}
     said = [
         one["revs"][0]["data"]["params"]["experiments/more/params.yaml"]["data"]["runs"]["more_one"]
         for one in shown["experiments"]
