@@ -29,7 +29,7 @@ def test_continuous_integration_runs_numerical_tests_on_a_second_kind_of_cpu():
 
 def test_a_cpu_that_has_no_more_than_the_second_kind_runs_them_once():
     assert portable("WIDER=") == []
-    assert commands("test-portable", "WIDER=")[-1].startswith("echo")
+    assert any(line.startswith("echo") for line in commands("test-portable", "WIDER="))
     cpu = Path("/proc/cpuinfo")
     wider = cpu.exists() and "avx512f" in cpu.read_text()
     assert len(portable()) == wider
