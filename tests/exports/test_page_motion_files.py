@@ -3,45 +3,18 @@
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
-from deblur_avatar.animation.driving_motion import SkeletonMotion
 from deblur_avatar.config.reading import parse
 from deblur_avatar.exports.registry import ExportParams
 from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.exports.shown_motion import shown_motions
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from tests.animation.skeleton_text import bvh
 from tests.animation.test_retargeting import MIXAMO, MOCAP, acted, as_rig, odd_frames
 from tests.exports.browser import opened
 
 TOLERANCE = 1e-5  # metres, and of a rotation's matrix
 Z_UP = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).double()
-ORDER = "ZXY"
-
-
-def bvh(motion: SkeletonMotion) -> str:
-    """A skeleton's motion as a file."""
-    order = []
-
-    def lines(joint):
-        order.append(joint)
-        children = [child for child, parent in enumerate(motion.parents) if parent == joint]
-        places = "Xposition Yposition Zposition " if joint == 0 else ""
-        channels = places + " ".join(f"{axis}rotation" for axis in ORDER)
-        inner = [line for child in children for line in lines(child)]
-        return [
-            f"{'JOINT' if joint else 'ROOT'} {motion.names[joint]}", "{",
-            "OFFSET " + " ".join(f"{x:.9f}" for x in motion.offsets[joint].tolist()),
-            f"CHANNELS {len(channels.split())} {channels}",
-            *(inner or ["End Site", "{", "OFFSET 0 0 0", "}"]), "}",
-        ]  # fmt: skip
-
-    rows = ["HIERARCHY", *lines(0), "MOTION", f"Frames: {len(motion.rotations)}"]
-    rows.append(f"Frame Time: {1 / motion.fps:.9f}")
-    for places, rotations in zip(motion.positions[0], motion.rotations, strict=True):
-        angles = Rotation.from_matrix(rotations[order].numpy()).as_euler(ORDER, degrees=True)
-        rows.append(" ".join(f"{x:.9f}" for x in [*places.tolist(), *angles.flatten()]))
-    return "\n".join(rows) + "\n"
 
 
 @pytest.fixture
