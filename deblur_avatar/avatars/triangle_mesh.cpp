@@ -13,6 +13,8 @@
 
 namespace {
 
+constexpr float HALF_SIDE = 0.57735026919f;  // 1 / sqrt(3): of a conjugate half diameter to its side
+
 struct Vec {
     float x, y, z;
 };
@@ -70,7 +72,7 @@ inline Frame frame(const Corners &p) {
     Frame f;
     f.middle = (1.0f / 3) * (p.a + p.b + p.c);
     f.towards = p.c - f.middle;
-    f.along = 0.57735026919f * (p.b - p.a);
+    f.along = HALF_SIDE * (p.b - p.a);
     const float one = dot(f.towards, f.towards), other = dot(f.along, f.along);
     f.twice = 2 * dot(f.towards, f.along);
     f.longer = one - other;
@@ -98,6 +100,18 @@ inline Frame frame(const Corners &p) {
     return f;
 }
 
+// A Gaussian's factor, its frame times its shape, row by row.
+struct Factor {
+    Vec x, y, z;
+};
+
+inline Factor factor(const Frame &f, float thickness, const Vec *shape) {
+    const Vec a = f.first, b = f.second, c = thickness * f.normal;
+    return {a.x * shape[0] + b.x * shape[1] + c.x * shape[2],
+            a.y * shape[0] + b.y * shape[1] + c.y * shape[2],
+            a.z * shape[0] + b.z * shape[1] + c.z * shape[2]};
+}
+
 // Gradients of the corners, given those of the middle and of the frame's columns.
 inline void frame_backward(const Frame &f, float thickness, Vec middle, Vec first, Vec second,
                            Vec normal, float *corner_grads) {
@@ -113,7 +127,7 @@ inline void frame_backward(const Frame &f, float thickness, Vec middle, Vec firs
         towards = towards + 2 * twice * f.along + 2 * longer * f.towards;
         along = along + 2 * twice * f.towards - 2 * longer * f.along;
     }
-    const Vec all = (1.0f / 3) * (middle - towards), side = 0.57735026919f * along;
+    const Vec all = (1.0f / 3) * (middle - towards), side = HALF_SIDE * along;
     store(corner_grads, all - side), store(corner_grads + 3, all + side);
     store(corner_grads + 6, all + towards);
 }
@@ -157,15 +171,12 @@ void face_gaussians(int64_t instants, int64_t vertices, int64_t faces, int threa
 #pragma omp parallel for num_threads(threads) schedule(static)
     for (int64_t n = 0; n < faces; ++n) {
         const float *shape = shapes + 9 * n;
-        const Vec one = load(shape), two = load(shape + 3), three = load(shape + 6);
+        const Vec rows[3] = {load(shape), load(shape + 3), load(shape + 6)};
         for (int64_t s = 0; s < instants; ++s) {
             const Frame f = frame(corners(places + 3 * s * vertices, corner + 3 * n));
             const int64_t i = s * faces + n;
             store(means + 3 * i, f.middle);
-            const Vec normal = thickness * f.normal;
-            const Vec x = f.first.x * one + f.second.x * two + normal.x * three;
-            const Vec y = f.first.y * one + f.second.y * two + normal.y * three;
-            const Vec z = f.first.z * one + f.second.z * two + normal.z * three;
+            const auto [x, y, z] = factor(f, thickness, rows);
             float *to = covars + 6 * i;
             to[0] = dot(x, x), to[1] = dot(x, y), to[2] = dot(x, z);
             to[3] = dot(y, y), to[4] = dot(y, z), to[5] = dot(z, z);
@@ -188,9 +199,7 @@ void face_gaussians_backward(int64_t instants, int64_t vertices, int64_t faces, 
             const Frame f = frame(corners(places + 3 * s * vertices, corner + 3 * n));
             const int64_t i = s * faces + n;
             const Vec columns[3] = {f.first, f.second, thickness * f.normal};
-            const Vec x = columns[0].x * rows[0] + columns[1].x * rows[1] + columns[2].x * rows[2];
-            const Vec y = columns[0].y * rows[0] + columns[1].y * rows[1] + columns[2].y * rows[2];
-            const Vec z = columns[0].z * rows[0] + columns[1].z * rows[1] + columns[2].z * rows[2];
+            const auto [x, y, z] = factor(f, thickness, rows);
             const float *g = covars_grad + 6 * i;
             // Of the factor's rows.
             const Vec gx = 2 * g[0] * x + g[1] * y + g[2] * z;
