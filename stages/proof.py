@@ -12,11 +12,11 @@ from deblur_avatar.pipeline.proof import report_proof
 logger = logging.getLogger(__name__)
 
 
-def main(metrics: Path, pictures: Path, out: Path, params_file: Path) -> None:
+def main(metrics: Path, strips: Path, out: Path, params_file: Path) -> None:
     """Write `<out>/index.html`, `summary.json`, `tables.md` and the charts."""
     plan = load_params(params_file, "proof", ProofParams)
     with run.stage("proof", out.name, load_params(params_file, "seed", int)):
-        report = report_proof(plan, metrics, pictures)
+        report = report_proof(plan, metrics, strips)
         report.save(out)
         logger.info("%s", report.log)
         logger.info("The proof: %s", out / "index.html")

@@ -6,7 +6,7 @@ null. Equal results give equal bytes.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,11 @@ from deblur_avatar.evaluation.proof_grid import (
     read_cells,
     schedules_of,
 )
+from deblur_avatar.pipeline.proof_strips import SHOWN, current_strips
 from deblur_avatar.reporting.charts import drawn
-from deblur_avatar.reporting.page import picture_uri, render_page
-from deblur_avatar.reporting.picture_strips import INPUT, TRUTH, Picture, Strip, strips_of_scene
+from deblur_avatar.reporting.kept_strips import KeptStrips
+from deblur_avatar.reporting.page import render_page
+from deblur_avatar.reporting.picture_strips import INPUT, TRUTH
 from deblur_avatar.reporting.proof_charts import quality_chart
 from deblur_avatar.reporting.proof_tables import (
     MAIN,
@@ -42,7 +44,6 @@ from deblur_avatar.reporting.stopping_table import stopping_table
 
 TEMPLATE = Path(__file__).parent / "proof.html.jinja"
 GRIDS = ("psnr_seen", "psnr", "flip")
-STRIP = ("agnostic", "paper", "clip")  # of each avatar, where it was fitted
 HEADLINES = ("paper", "mad", "clip")  # motions whose recovery stands above all tables
 CHART = "quality_over_time"
 KINDS = ("report", "real_light", "tuning")  # of scenes, as they stand on the page
@@ -73,13 +74,13 @@ class ProofReport:
         run.write_json(folder / "summary.json", self.summary)
 
 
-def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofReport:
+def report_proof(plan: ProofParams, metrics: Path, strips: Path) -> ProofReport:
     """Gather what the cells of a plan left.
 
     Args:
         plan: what was to be fitted.
         metrics: `<scene>/<stage>/<cell>.json` and `<scene>/cost/<stage>/<cell>.json`.
-        pictures: `<scene>/evaluate/<cell>`; scenes without them have no strips.
+        strips: pictures by scene and avatar, in a folder beside the page.
 
     Raises:
         ArtifactError: if no cell has results, or a file is damaged.
@@ -106,7 +107,7 @@ def report_proof(plan: ProofParams, metrics: Path, pictures: Path) -> ProofRepor
                 "name": scene,
                 "about": _about_scene(plan, found, scene),
                 "tables": tables[scene],
-                "strips": _on_page(_strips(plan, found, scene, pictures)),
+                "views": _views(plan, found, scene, strips),
             }
             for scene in whole
         ],
@@ -284,39 +285,48 @@ def _figures(overall: Grid | None) -> list[dict[str, str]]:
     ]
 
 
-def _strips(plan: ProofParams, found: Sequence[Found], scene: str, pictures: Path) -> list[Strip]:
+def _views(
+    plan: ProofParams, found: Sequence[Found], scene: str, strips: Path
+) -> list[dict[str, Any]]:
+    """Each view with a row an avatar: the input, motions as they stand in the grid, the truth."""
     if scene in plan.without_pictures:
         return []
-    schedule = schedules_of(found, scene)[0]
-    cells = {(one.cell.avatar, one.cell.motion): one.cell for one in reversed(found)
-             if (one.cell.scene, one.cell.schedule) == (scene, schedule)}  # fmt: skip
-    folders = {
-        f"{avatar} {motion}": pictures / scene / "evaluate" / cells[avatar, motion].name
+    kept = {
+        avatar: of
         for avatar in plan.avatars
-        for motion in STRIP
-        if (avatar, motion) in cells
+        if (of := current_strips(strips, found, scene, avatar)) is not None
     }
-    there = {label: folder for label, folder in folders.items() if folder.is_dir()}
-    strips = strips_of_scene(there, plan.strips) if there else []
-    return [replace(strip, pictures=_ordered(strip.pictures, list(there))) for strip in strips]
-
-
-def _ordered(pictures: Mapping[str, Picture], methods: Sequence[str]) -> dict[str, Picture]:
-    """The input, then methods as they stand in the grid, then the truth."""
-    order = (INPUT, *methods, TRUTH)
-    return {label: pictures[label] for label in order if label in pictures}
-
-
-def _on_page(strips: Sequence[Strip]) -> list[dict[str, Any]]:
+    motions = [motion for motion in SHOWN if any(motion in of.fits for of in kept.values())]
+    captions = dict.fromkeys(caption for of in kept.values() for caption in of.captions)
     return [
         {
-            "caption": strip.caption,
-            "pictures": [
-                {"label": label, "uri": picture_uri(picture)}
-                for label, picture in strip.pictures.items()
+            "caption": caption,
+            "columns": len(motions) + 2,
+            "rows": [
+                _row(avatar, of, of.captions.index(caption), motions, strips)
+                for avatar, of in kept.items()
+                if caption in of.captions
             ],
         }
-        for strip in strips
+        for caption in captions
+    ]
+
+
+def _row(
+    avatar: str, of: KeptStrips, view: int, motions: Sequence[str], strips: Path
+) -> list[dict[str, str]]:
+    """Labels and files from the page on; neither where there is no picture."""
+    there = {INPUT: INPUT, **{motion: f"{avatar} {motion}" for motion in of.fits}}
+    if of.truth:
+        there[TRUTH] = TRUTH
+    return [
+        {
+            "label": there[label],
+            "file": of.picture(view, label).relative_to(strips.parent).as_posix(),
+        }
+        if label in there
+        else {"label": "", "file": ""}
+        for label in (INPUT, *motions, TRUTH)
     ]
 
 

@@ -30,7 +30,7 @@ from deblur_avatar.sweep.costs import stage_of
 MISSING: Final = object()
 AREAS = ("experiments/cases", "stability/cases")
 # Pages show what a clock says; they are never compared, hence never run.
-REPORTS = ("code", "report", "ablations", "proof", "stability_report")
+REPORTS = ("code", "report", "ablations", "proof", "proof_strips", "stability_report")
 FOOTAGE_VARIABLE, VIDEOS_VARIABLE = "DEBLUR_AVATAR_CASES", "POSE2SIM_ROOT"
 VIDEOS = "../shared/data/pose2sim_single"  # from the root, where parameters look for them
 WORKER = Path(__file__).with_name("worker.py")

@@ -1,12 +1,14 @@
 import json
+import re
 
 import numpy as np
 import pytest
 
 from deblur_avatar.config.proof import MOTIONS, Cell, cells_of
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.proof import report_proof
+from deblur_avatar.reporting.kept_strips import keep_strips
+from deblur_avatar.reporting.picture_strips import INPUT, TRUTH, Strip
 from tests.evaluation.test_proof_grid import PSNR
 from tests.proof_results import PLAN, small_plan, write_cell
 
@@ -21,7 +23,7 @@ def metrics(tmp_path):
 
 @pytest.fixture
 def report(metrics, tmp_path):
-    return report_proof(small_plan(), metrics, tmp_path / "pictures")
+    return report_proof(small_plan(), metrics, tmp_path / "strips")
 
 
 def test_the_summary_has_every_avatar_and_motion_of_every_scene(report):
@@ -72,7 +74,7 @@ def test_the_head_counts_what_was_fitted_and_not_what_was_planned(report, metric
     assert "2 avatars, " in report.page
     for path in metrics.rglob("*plain-*"):
         path.unlink()
-    assert "1 avatars, " in report_proof(small_plan(), metrics, tmp_path / "pictures").page
+    assert "1 avatars, " in report_proof(small_plan(), metrics, tmp_path / "strips").page
 
 
 def test_the_chart_has_a_curve_for_every_cell_of_a_scene_that_stands_alone(report):
@@ -85,7 +87,7 @@ def test_the_chart_has_a_curve_for_every_cell_of_a_scene_that_stands_alone(repor
 
 
 def test_equal_results_give_equal_bytes(report, metrics, tmp_path):
-    again = report_proof(small_plan(), metrics, tmp_path / "pictures")
+    again = report_proof(small_plan(), metrics, tmp_path / "strips")
     assert (again.page, again.tables, again.charts) == (report.page, report.tables, report.charts)
 
 
@@ -102,28 +104,33 @@ def test_without_any_cell_it_says_what_to_run(tmp_path):
         report_proof(small_plan(), tmp_path, tmp_path)
 
 
-def test_strips_show_what_each_avatar_made_of_the_same_view(metrics, tmp_path):
-    view = {"camera": "test1", "frame": 3, "novel_pose": False, "render": "r.png",
-            "blurred": "b.png", "truth": "t.png"}  # fmt: skip
-    for avatar, motion in (("plain", "clip"), ("plain", "oracle"), ("networks", "paper")):
-        folder = tmp_path / "pictures/leaping/evaluate" / Cell("", avatar, motion, "x1", 0).name
+def test_a_view_has_a_row_an_avatar_from_the_input_to_the_truth(metrics, tmp_path):
+    strips = tmp_path / "reports/strips"
+    for avatar, motions in (("plain", ("agnostic", "clip")), ("networks", ("paper",))):
         picture = np.zeros((24, 24, 3), np.uint8)
-        picture[6:18, 8:16] = 200
-        for name in ("r", "b", "t"):
-            write_picture(folder / f"{name}.png", picture)
-        (folder / "views.json").write_text(json.dumps([view]))
-    report = report_proof(small_plan(), metrics, tmp_path / "pictures")
-    labels = [part.split("<")[0] for part in report.page.split("<span>")[1:]]
-    assert {"blurred input", "plain clip", "networks paper", "truth"} <= set(labels)
-    assert "plain oracle" not in labels
-    assert "camera test1, frame 3" in report.page
+        fits = {motion: PSNR[avatar, motion] for motion in motions}
+        strip = Strip("camera test1", False, dict.fromkeys((INPUT, *motions, TRUTH), picture))
+        keep_strips(strips / "leaping" / avatar, [strip], fits)
+    report = report_proof(small_plan(), metrics, strips)
+    (shown,) = re.findall(r'<div class="strip".*?</div>', report.page, re.S)
+    assert "repeat(5, 1fr)" in shown
+    rows = [
+        "blurred input||networks paper||truth",
+        "blurred input|plain agnostic||plain clip|truth",
+    ]
+    labels = re.findall("((?:<span>[^<]*</span>){5})", shown)
+    assert [re.sub("<.span><span>|<.?span>", "|", row).strip("|") for row in labels] == rows
+    files = re.findall('src="([^"]*)"', shown)
+    assert files[1] == "strips/leaping/networks/0-paper.jpg"
+    assert all((tmp_path / "reports" / file).is_file() for file in files)
+    assert len(files) == 7
     hidden = small_plan(without_pictures=["leaping"])
-    assert "<img" not in report_proof(hidden, metrics, tmp_path / "pictures").page
+    assert "<img" not in report_proof(hidden, metrics, strips).page
 
 
 def test_real_light_stands_between_and_in_no_mean(metrics, tmp_path):
     scenes = PLAN["scenes"] | {"studio": {"kind": "real_light", "filmed": "root"}}
-    report = report_proof(small_plan(scenes=scenes), metrics, tmp_path / "pictures")
+    report = report_proof(small_plan(scenes=scenes), metrics, tmp_path / "strips")
     titles = [line for line in report.headline.splitlines() if line.startswith("### ")]
     assert [title.split()[1] for title in titles] == ["leaping:", "studio:"]
     assert "1 report scenes" in report.page

@@ -4,6 +4,7 @@ from ruamel.yaml import YAML
 
 from deblur_avatar.config.proof import cells_of
 from tests.evaluation.test_proof_grid import PSNR
+from tests.pipeline.test_proof_strips import fit, forget_pictures
 from tests.proof_results import PLAN, small_plan, write_cell
 from tests.stages.running import run_script
 
@@ -14,7 +15,7 @@ def test_it_writes_the_page_and_prints_the_grid_and_where_it_lies(tmp_path):
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump({"seed": 0, "proof": PLAN}, file)
     done = run_script(
-        "proof", metrics=tmp_path / "metrics", pictures=tmp_path / "pictures",
+        "proof", metrics=tmp_path / "metrics", strips=tmp_path / "reports/strips",
         out=tmp_path / "reports", params_file=tmp_path / "params.yaml",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -25,3 +26,20 @@ def test_it_writes_the_page_and_prints_the_grid_and_where_it_lies(tmp_path):
     assert paper["recovery"]["psnr_seen"] == 0.25
     assert paper["psnr_seen"] == {"mean": 16.0, "std": None}
     assert "</html>" in (tmp_path / "reports/index.html").read_text()
+
+
+def test_pictures_that_lie_here_are_kept_beside_the_page(tmp_path):
+    """The whole way: what `evaluate` left is on the page when its files are gone."""
+    fit(tmp_path, "clip")
+    with (tmp_path / "params.yaml").open("w") as file:
+        YAML().dump({"seed": 0, "proof": PLAN}, file)
+    given = {"metrics": tmp_path / "metrics", "params_file": tmp_path / "params.yaml"}
+    strips = tmp_path / "reports/strips"
+    done = run_script("proof_strips", pictures=tmp_path / "data", out=strips, **given)
+    assert done.returncode == 0, done.stderr
+    assert "Pictures kept: leaping, plain: clip" in done.stderr
+    forget_pictures(tmp_path)
+    run_script("proof_strips", pictures=tmp_path / "data", out=strips, **given)
+    run_script("proof", strips=strips, out=tmp_path / "reports", **given)
+    page = (tmp_path / "reports/index.html").read_text()
+    assert 'src="strips/leaping/plain/0-clip.jpg"' in page

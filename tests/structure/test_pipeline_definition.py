@@ -183,7 +183,7 @@ def test_only_reports_depend_on_what_a_clock_says():
             written = {out for out in paths_in(stage, "outs") if out.startswith("metrics/cost/")}
             assert not written or name in ("warmup", "trajectory", "fusion", "evaluate")
             read = [d for d in paths_in(stage, "deps") if re.search(r"metrics(/cost.*)?$", d)]
-            assert not read or name in ("report", "ablations", "proof")
+            assert not read or name in ("report", "ablations", "proof", "proof_strips")
 
 
 def test_only_the_ceiling_is_told_the_exact_poses():
