@@ -6,19 +6,26 @@ copies of the pipeline's files in `pipeline/`, a body, and a DVC repository of i
 """
 
 import os
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from configobj import ConfigObj, ConfigObjError
+
 import deblur_avatar
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.pipeline.code import PIPELINE
-from deblur_avatar.run import write_text
+from deblur_avatar.run import write_bytes, write_text
 
 PARAMS, SCRIPTS, SHIPPED = "params.yaml", "stages", "pipeline_files"
 CHECKOUT = (PIPELINE, PARAMS, SCRIPTS)  # what a checkout of the repository has
 AVATARS, OWN_ROOT = "avatars", "pipeline"
 DVC_CONFIG = "[core]\n    no_scm = True\n    analytics = false\n    check_update = false\n"
+# Earlier versions made the cache of all folders' bodies the default remote: a user's `dvc push`
+# sent everything there. No other section of DVC's settings has this key.
+FORMER_DEFAULT = "bodies"
+ITS_LINE = rb"""(?m)^[ \t]*remote[ \t]*=[ \t]*(['"]?)bodies\1[ \t]*(?:#.*)?(?:\n|\Z)"""
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class Home:
         DVC's settings are the user's to change, once written.
 
         Raises:
+            ConfigError: if DVC's settings of this machine cannot be read.
             ArtifactError: if the disk refuses.
         """
         try:
@@ -59,8 +67,24 @@ class Home:
                 config = self.folder / ".dvc/config"
                 if not config.exists():  # its user may have added a remote to it
                     write_text(config, DVC_CONFIG)
+                _take_back_default(config.with_name("config.local"))
         except OSError as error:
             raise ArtifactError(f"cannot write {self.folder}: {error}") from error
+
+
+def _take_back_default(settings: Path) -> None:
+    try:
+        content = settings.read_bytes()
+        core = ConfigObj(content.decode().splitlines()).get("core")
+        default = core.get("remote") if isinstance(core, dict) else None
+    except FileNotFoundError:
+        return
+    except (OSError, UnicodeDecodeError, ConfigObjError) as error:
+        raise ConfigError(
+            f"{settings} holds no settings that DVC can read: {error}; mend it, or remove it"
+        ) from error
+    if default == FORMER_DEFAULT:
+        write_bytes(settings, re.sub(ITS_LINE, b"", content))
 
 
 def home_of(name: str, here: Path) -> Home:

@@ -1,4 +1,4 @@
-"""DVC as a subprocess: reproduce stages of a pipeline, send what they made."""
+"""DVC as a subprocess: reproduce stages of a pipeline, take what they made, or send it."""
 
 import os
 import subprocess
@@ -50,17 +50,35 @@ def reproduce(*steps: Sequence[str], folder: Path = Path(), refreshed: bool = Fa
     return 0
 
 
-def push(stage: str, folder: Path) -> int:
-    """Send a stage's outputs, and what they were made from, to the folder's remote.
+def reproduce_from(remote: Path, stage: str, folder: Path) -> int:
+    """Take a stage's outputs from a remote that no settings name, or make them.
 
     Returns:
-        DVC's exit code.
+        0, or another exit code if neither could be done.
     """
-    return _dvc(["push", "--quiet", "--run-cache", stage], folder)
+    return _with_remote("repro", remote, stage, folder)
+
+
+def push(remote: Path, stage: str, folder: Path) -> int:
+    """Send a stage's outputs, and what they were made from, to a remote that no settings name.
+
+    Returns:
+        0, or another exit code if that could not be done.
+    """
+    return _with_remote("push", remote, stage, folder)
+
+
+def _with_remote(command: str, remote: Path, stage: str, folder: Path) -> int:
+    words = ("deblur_avatar.cli.unlisted_remote", "--remote", str(remote), command, stage)
+    return _python(words, folder)
 
 
 def _dvc(words: Sequence[str], folder: Path) -> int:
-    return finish([sys.executable, "-m", "dvc", *words], python_first(os.environ), folder)
+    return _python(("dvc", *words), folder)
+
+
+def _python(words: Sequence[str], folder: Path) -> int:
+    return finish([sys.executable, "-m", *words], python_first(os.environ), folder)
 
 
 def finish(command: Sequence[str], environment: Mapping[str, str], folder: Path) -> int:

@@ -2,22 +2,22 @@
 
 Baking takes a minute or two and gives the same bytes each time. So folders that an installed
 package makes have a DVC remote in common, in the user's cache: it holds bodies, and DVC's run cache
-says which code and parameters each was baked with. Nothing else is sent there. Each folder has its
-own copy, so that the cache may be deleted at any time.
+says which code and parameters each was baked with. Nothing else is sent there: no folder's settings
+name it, which are its user's alone. Each folder has its own copy, so that the cache may be deleted
+at any time.
 """
 
 import logging
 from pathlib import Path
 
-from deblur_avatar.cli.running_dvc import push, reproduce
+from deblur_avatar.cli.running_dvc import push, reproduce_from
 from deblur_avatar.config.reading import read_yaml
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.rendering.native_build import cache_folder
 
 logger = logging.getLogger(__name__)
 
-REMOTE = "bodies"
-MACHINES_CONFIG = ".dvc/config.local"  # DVC's name for what holds on one machine alone
+BODIES = "bodies"  # of the cache
 
 
 def make_body(folder: Path, name: str) -> int:
@@ -30,21 +30,19 @@ def make_body(folder: Path, name: str) -> int:
         name: of its entry in `bodies`.
 
     Returns:
-        DVC's exit code.
+        0, or another exit code if there is no body.
     """
-    cache = cache_folder() / REMOTE
+    cache = cache_folder().resolve() / BODIES
     try:
         cache.mkdir(parents=True, exist_ok=True)
-        remote = f"['remote \"{REMOTE}\"']\n    url = {cache.resolve()}\n"
-        (folder / MACHINES_CONFIG).write_text(f"[core]\n    remote = {REMOTE}\n{remote}")
     except OSError as error:
         logger.warning("The body is not shared with other folders: %s", error)
         return 0
-    made = folder / "data/body" / name
+    stage, made = f"body@{name}", folder / "data/body" / name
     if made.exists() and _is_shared(folder, name, cache):
         return 0
-    code = reproduce(["--pull", f"body@{name}"], folder=folder)
-    if code == 0 and not _is_shared(folder, name, cache) and push(f"body@{name}", folder) != 0:
+    code = reproduce_from(cache, stage, folder)
+    if code == 0 and not _is_shared(folder, name, cache) and push(cache, stage, folder) != 0:
         logger.warning("The body is not shared with other folders: DVC cannot write %s", cache)
     return code
 

@@ -61,6 +61,48 @@ def test_a_remote_that_its_user_has_added_stays(folder):
     assert config.read_text() == added
 
 
+@pytest.mark.parametrize(
+    ("written", "left"),
+    [
+        (  # by an earlier version alone
+            "[core]\n    remote = bodies\n['remote \"bodies\"']\n    url = /home/anna/bodies\n",
+            "[core]\n['remote \"bodies\"']\n    url = /home/anna/bodies\n",
+        ),
+        (
+            "#\r\n[cache]\r\ndir =  /a # large\r\n[core]\r\nremote='bodies' # ?\r\nautostage=true",
+            "#\r\n[cache]\r\ndir =  /a # large\r\n[core]\r\nautostage=true",
+        ),
+        *[
+            (text, text)
+            for text in (
+                "[core]\nremote = lab\n['remote \"bodies\"']\nurl = /mnt/bodies\n",
+                "[core]\n# remote = bodies\n",
+                "core = remote\n",
+                "",
+            )
+        ],
+    ],
+    ids=["untouched", "by hand", "of the user", "a comment", "no section", "empty"],
+)
+def test_a_default_remote_of_an_earlier_version_goes_and_all_else_stays(folder, written, left):
+    settings = folder / ".dvc/config.local"
+    settings.write_bytes(written.encode())
+    prepare(Path("clip.mp4"), "clip", "lean", "medium", Path())
+    assert settings.read_bytes() == left.encode()
+
+
+@pytest.mark.parametrize("damaged", [b"[core\nremote = bodies\n", b"[core]\nremote = \xff\n", None])
+def test_settings_that_dvc_cannot_read_are_named_and_stay(folder, damaged):
+    settings = folder / ".dvc/config.local"
+    if damaged is None:
+        settings.mkdir()
+    else:
+        settings.write_bytes(damaged)
+    with pytest.raises(ConfigError, match=r"clip/\.dvc/config\.local.*; mend it, or remove it"):
+        prepare(Path("clip.mp4"), "clip", "lean", "medium", Path())
+    assert settings.is_dir() if damaged is None else settings.read_bytes() == damaged
+
+
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path):
     (tmp_path / "clip").mkdir()
     with pytest.raises(ConfigError, match="holds no avatar, .* --name clip_avatar"):

@@ -1,6 +1,8 @@
 """A second folder takes the body that the first one has baked."""
 
 import logging
+import subprocess
+import sys
 
 import pytest
 
@@ -60,11 +62,44 @@ def test_a_second_folder_does_not_bake_again(home, cache):
     assert body_of(second) == body_of(first)
 
 
+SETTINGS = """\
+# this machine's
+['remote "lab"']
+    url = ../lab  # where everybody's data lie
+[cache]
+    dir = ../roomy
+[core]
+    autostage=false
+"""
+
+
+@pytest.mark.parametrize("default", ["", "    remote = lab\n"])
+def test_the_user_s_settings_stay_and_nothing_of_theirs_is_sent_to_the_cache(home, cache, default):
+    first, second = home("first"), home("second")
+    settings = first / ".dvc/config.local"
+    settings.write_text(SETTINGS + default)
+    assert [make_body(folder, "capsules") for folder in (first, second)] == [0, 0]
+    assert times_baked(second) == 0
+    assert settings.read_text() == SETTINGS + default
+    assert (first / "roomy/files/md5").is_dir()
+    assert not (first / "lab").exists()
+    held = sorted(cache.rglob("*"))
+    (first / "diary").write_text("mine alone")
+    for words in ("add diary", "push"):
+        done = subprocess.run(
+            [sys.executable, "-m", "dvc", *words.split()], cwd=first, capture_output=True,
+            text=True, check=False,
+        )  # fmt: skip
+    assert (done.returncode == 0) == bool(default)
+    assert (first / "lab").exists() or "no remote specified" in done.stderr
+    assert sorted(cache.rglob("*")) == held
+
+
 @pytest.fixture
 def asked(monkeypatch):
     """What DVC would have been asked for; it does nothing."""
     words = []
-    for name in ("reproduce", "push"):
+    for name in ("reproduce_from", "push"):
         monkeypatch.setattr(module, name, lambda *a, name=name, **_: words.append(name) or 0)
     return words
 
@@ -76,15 +111,33 @@ def test_what_is_shared_already_is_not_asked_for(home, cache, asked):
         "stages: {body@capsules: {outs: [{path: data/body/capsules, md5: abcdef.dir}]}}\n"
     )
     assert make_body(folder, "capsules") == 0
-    assert asked == ["reproduce", "push"]  # the cache was deleted, or never had it
+    assert asked == ["reproduce_from", "push"]  # the cache was deleted, or never had it
     kept = cache / "bodies/files/md5/ab/cdef.dir"
     kept.parent.mkdir(parents=True)
     kept.touch()
     assert make_body(folder, "capsules") == 0
-    assert asked == ["reproduce", "push"]
+    assert asked == ["reproduce_from", "push"]
     (folder / "data/body/capsules").rmdir()
     assert make_body(folder, "capsules") == 0
-    assert asked == ["reproduce", "push", "reproduce"]
+    assert asked == ["reproduce_from", "push", "reproduce_from"]
+
+
+def test_what_dvc_cannot_do_is_one_line_of_its_own(home, cache, caplog, capfd):
+    folder = home("first")
+    (cache / "bodies").mkdir()
+    (cache / "bodies/files").touch()  # where a folder should be
+    with caplog.at_level(logging.WARNING):
+        assert make_body(folder, "capsules") == 0
+    assert times_baked(folder) == 1
+    assert caplog.messages == [
+        f"The body is not shared with other folders: DVC cannot write {cache}/bodies"
+    ]
+    (folder / "bake.py").write_text("raise SystemExit(3)")
+    (folder / "params.yaml").write_text("bodies: {capsules: {tallness: 2}}\n")
+    capfd.readouterr()
+    assert make_body(folder, "capsules") == 1
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("ERROR: failed to reproduce 'body@capsules': failed to run: python bake")
 
 
 def test_without_a_cache_a_folder_goes_on_alone(home, cache, asked, caplog):

@@ -383,12 +383,12 @@ def test_what_could_not_be_read_again_is_read_again_the_next_time(root, video, m
 
 @pytest.mark.parametrize("words", [[], ["--own-body"]])
 def test_far_from_a_checkout_the_users_other_folders_are_asked_for_a_body(
-    video, tmp_path_factory, monkeypatch, words
+    video, cache, tmp_path_factory, monkeypatch, words
 ):
     monkeypatch.chdir(tmp_path_factory.mktemp("anywhere"))
     pipeline = Pipeline(monkeypatch, lambda word: 3 if word == "check@anna" else 0)
     assert main(["video", str(video), "--name", "anna", *words]) == 3
-    shared = ["--pull body@anny", "--quiet --run-cache body@anny"]
+    shared = [f"{cache}/bodies {command} body@anny" for command in ("repro", "push")]
     assert pipeline.asked == [*([] if words else shared), "check@anna"]
 
 
