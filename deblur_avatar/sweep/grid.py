@@ -36,13 +36,13 @@ def grid(asked: Sequence[str]) -> list[dict[str, str]]:
     return [dict(zip(values, chosen, strict=True)) for chosen in product(*values.values())]
 
 
-def name_of(chosen: dict[str, str]) -> str:
-    """What an experiment is called: each whole key and its value, in letters that git allows.
+def name_of(target: str, chosen: dict[str, str]) -> str:
+    """What an experiment is called: its target, each whole key and its value, as git allows.
 
-    Whole, since an experiment takes the place of one of its name: that of another key that ends in
-    the same word, say. What would be too long ends in a digest.
+    All of it, since an experiment takes the place of one of its name: that of another target, or of
+    another key that ends in the same word, say. What would be too long ends in a digest.
     """
-    whole = "_".join(f"{key}-{value}" for key, value in chosen.items())
+    whole = "_".join([target, *(f"{key}-{value}" for key, value in chosen.items())])
     name = re.sub(r"[^A-Za-z0-9_.-]|\.(?=\.|lock$|$)", "-", whole).lstrip(".-")
     digest = hashlib.sha256(whole.encode()).hexdigest()[:8]
     return name if len(name) <= LONGEST else f"{name[:LONGEST]}-{digest}"
@@ -65,7 +65,7 @@ def tasks_of(
     """
     tasks = {}
     for chosen in combinations:
-        name = name_of(chosen)
+        name = name_of(target, chosen)
         if name in tasks:
             raise ConfigError(f"-S: two experiments would be called {name}; set fewer keys at once")
         command = tuple(_command(root, target, name, chosen))
