@@ -86,7 +86,7 @@ def write_folder(folder: Path, observations: Path) -> None:
     seen.symlink_to(observations.resolve())
     entry = {"scene": SCENE, "observations": "blurred", "avatar": AVATAR, "method": "lean"}
     content = {
-        "from": {"footage": "data"}, "schedule": "endless", "runs": {RUN: entry},
+        "from": {"footage": "data"}, "schedule": "endless", "snapshots": 0, "runs": {RUN: entry},
         "schedules": {"endless": json.loads(SCHEDULE.model_dump_json())},
     }  # fmt: skip
     with (folder / PARAMS.name).open("w") as file:

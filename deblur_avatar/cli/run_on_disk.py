@@ -3,10 +3,14 @@
 Read from what the fitting stages write anyway (`training/resume.py`): a folder for each stage that
 has ended, and beside it `.<item>.unfinished` while it runs, with a snapshot now and then and a save
 of everything every 20 s. Nothing is written, and no lock is taken.
+
+It may be a fit of another schedule than the parameters say now. Which one, nothing of it says in
+words, but when its stages ended and which snapshots it kept does.
 """
 
 import json
 import logging
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -38,6 +42,7 @@ class Kept:
     """An avatar that lies on disk."""
 
     place: Path
+    stage: str
     iteration: int
     whole: bool  # a stage's own output, not a snapshot
 
@@ -47,13 +52,13 @@ class Standing:
     """How far a run is."""
 
     iteration: int
-    last: int  # iteration of the whole run
+    last: int | None  # iteration of the whole run; None: by no schedule that there is now
     seconds: float | None  # of fitting in the present stage, of all iterations that it has made
 
     @property
     def finished(self) -> bool:
         """Whether nothing more is to come."""
-        return self.iteration >= self.last
+        return self.last is not None and self.iteration >= self.last
 
 
 class RunOnDisk:
@@ -70,6 +75,8 @@ class RunOnDisk:
         self._footage = folder / load_params(file, "from.footage", str)
         chosen = load_params(file, "schedule", str)
         self.schedule: ScheduleParams = load_params(file, f"schedules.{chosen}", ScheduleParams)
+        self._schedules = load_params(file, "schedules", dict[str, ScheduleParams])
+        self._snapshots = load_params(file, "snapshots", int)
         run = self.run
         self.warmup = f"{run.scene}-{run.observations}-{run.avatar}"  # what it goes on from
         self._outs = {
@@ -118,8 +125,11 @@ class RunOnDisk:
             avatar = Avatar.load(kept.place / "avatar")
             motion = self._motion(kept.place, avatar, observations)
         check_same_frames(self.name, motion, observations)
-        last = self.schedule.fusion
-        far = "" if kept.iteration >= last else f", step {kept.iteration} of {last}"
+        last, far = self._last(kept, kept.stage), ""
+        if last is None:
+            far = f", step {kept.iteration}, of another schedule"
+        elif kept.iteration < last:
+            far = f", step {kept.iteration} of {last}"
         return FittedRun(f"{self.name}{far}", avatar, motion, observations)
 
     def standing(self) -> Standing:
@@ -128,21 +138,24 @@ class RunOnDisk:
         iteration, seconds = (0 if kept is None else kept.iteration), None
         running = self._running()
         if running is not None:
-            for save in sorted(self._unfinished(running).glob("after_*"), reverse=True):
+            for save in self._saves(running)[-1:]:
                 found = _number(save.name)
                 if found >= iteration:
-                    iteration, seconds = found, _seconds(save)
-                break
-        return Standing(iteration, self.schedule.fusion, seconds)
+                    iteration, seconds = found, _in_manifest(save, "seconds")
+        reached = running or (STAGES[0] if kept is None else kept.stage)
+        return Standing(iteration, self._last(kept, reached), seconds)
 
     def seconds_left(self) -> float | None:
         """What is left of fitting at the present stage's pace; None where that is not known."""
         standing, stage = self.standing(), self._running()
-        if stage is None or standing.seconds is None:
+        schedule = None if stage is None else self._made_with(stage)
+        if stage is None or schedule is None or standing.seconds is None:
             return None
-        begun = 0 if stage == "warmup" else getattr(self.schedule, STAGES[STAGES.index(stage) - 1])
+        begun = 0 if stage == "warmup" else getattr(schedule, STAGES[STAGES.index(stage) - 1])
         made = standing.iteration - begun
-        return None if made <= 0 else standing.seconds / made * (standing.last - standing.iteration)
+        return (
+            None if made <= 0 else standing.seconds / made * (schedule.fusion - standing.iteration)
+        )
 
     def _motion(self, place: Path, avatar: Avatar, observations: Observations) -> Motion:
         if (place / "motion").is_dir():
@@ -164,6 +177,43 @@ class RunOnDisk:
         going = [s for s in STAGES if begun[s] and begun[s] >= _touched(self._outs[s])]
         return max(going, key=lambda stage: begun[stage], default=None)
 
+    def _last(self, kept: Kept | None, reached: str) -> int | None:
+        """The last iteration of the fit that has come to a stage, and of which this is kept."""
+        if kept is not None and kept.whole and kept.stage == reached == STAGES[-1]:
+            return kept.iteration
+        schedule = self._made_with(reached)
+        return None if schedule is None else schedule.fusion
+
+    def _made_with(self, reached: str) -> ScheduleParams | None:
+        """The schedule of the fit that has come to a stage: the present one, unless it cannot be.
+
+        None where none of those that there are can, or others that differ in their length.
+        """
+        if self._may_be_of(self.schedule, reached):
+            return self.schedule
+        others = [one for one in self._schedules.values() if self._may_be_of(one, reached)]
+        return others[0] if len({one.fusion for one in others}) == 1 else None
+
+    def _may_be_of(self, schedule: ScheduleParams, reached: str) -> bool:
+        """Whether stages up to this one ended, and kept snapshots, at a schedule's iterations."""
+        begun, running, wanted = 0, self._running(), schedule.halvings(self._snapshots)
+        for stage in STAGES[: STAGES.index(reached) + 1]:
+            end, made = getattr(schedule, stage), self._outs[stage] / "avatar"
+            if stage == running:
+                saved = [_number(save.name) for save in self._saves(stage)]
+                kept = {_number(place.name) for place in _snapshots(self._unfinished(stage))}
+                here = max([begun, *saved, *kept])
+                asked = {iteration for iteration in wanted if begun < iteration <= here}
+                if kept != asked or not all(begun <= one <= end for one in [*saved, *kept]):
+                    return False
+            elif made.is_dir() and _in_manifest(made, "iteration") != end:
+                return False
+            begun = end
+        return True
+
+    def _saves(self, stage: str) -> list[Path]:
+        return sorted(self._unfinished(stage).glob("after_*"))
+
     def _newest_first(self) -> Iterator[Kept]:
         """While a stage runs, what later stages left is of an earlier fit."""
         running = self._running()
@@ -171,9 +221,11 @@ class RunOnDisk:
         for stage in reversed(stages):
             out = self._unfinished(stage) if stage == running else self._outs[stage]
             if stage != running and (out / "avatar").is_dir():
-                yield Kept(out, getattr(self.schedule, stage), whole=True)
-            for place in sorted((out / "snapshots").glob("[0-9]*"), reverse=True):
-                yield Kept(place, _number(place.name), whole=False)
+                said = _in_manifest(out / "avatar", "iteration")
+                ended = getattr(self.schedule, stage) if said is None else round(said)
+                yield Kept(out, stage, ended, whole=True)
+            for place in reversed(_snapshots(out)):
+                yield Kept(place, stage, _number(place.name), whole=False)
 
 
 def check_same_frames(name: str, motion: Motion, observations: Observations) -> None:
@@ -211,9 +263,14 @@ def _number(name: str) -> int:
     return int(re.sub(r"\D", "", name))
 
 
-def _seconds(save: Path) -> float | None:
-    """Of fitting, from a save that may be thrown away at any moment."""
+def _snapshots(folder: Path) -> list[Path]:
+    return sorted((folder / "snapshots").glob("[0-9]*"))
+
+
+def _in_manifest(place: Path, key: str) -> float | None:
+    """A number of an artifact that may be thrown away at any moment, if it is one."""
     try:
-        return float(json.loads((save / "manifest.json").read_text())["seconds"])
+        found = float(json.loads((place / "manifest.json").read_text())[key])
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    return found if math.isfinite(found) else None

@@ -72,7 +72,8 @@ class SceneRuns:
         standing, left = self._runs[name].standing(), self._runs[name].seconds_left()
         if standing.finished:
             return f"Fitted: {standing.last} steps."
-        text = f"Step {standing.iteration} of {standing.last}"
+        whole = ", of another schedule" if standing.last is None else f" of {standing.last}"
+        text = f"Step {standing.iteration}{whole}"
         text += "." if left is None else f", about {left:.0f} s of fitting left."
         kept = self._runs[name].newest()
         if kept is None or kept.iteration == standing.iteration:

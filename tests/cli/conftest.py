@@ -10,7 +10,8 @@ from ruamel.yaml import YAML
 from deblur_avatar.cli import shared_bodies
 from deblur_avatar.training.resume import Snapshot, run_folder
 
-ENDS = {"warmup": 6, "trajectory": 12, "fusion": 18}
+ENDS = {"warmup": 6, "trajectory": 12, "fusion": 18}  # snapshots at 4 and 9, too
+LONGER = {"warmup": 20, "trajectory": 40, "fusion": 80}
 
 
 @pytest.fixture(autouse=True)
@@ -27,7 +28,8 @@ def fitting(tmp_path, scene):
     run = {"scene": "capsules", "observations": "blurred", "avatar": "lean", "method": "lean"}
     sizes = {"gaussians": 80, "image_height": 24, "levels": []}
     content = {
-        "from": {"footage": "data"}, "schedule": "tiny", "schedules": {"tiny": ENDS | sizes},
+        "from": {"footage": "data"}, "schedule": "tiny", "snapshots": 2,
+        "schedules": {"tiny": ENDS | sizes, "longer": LONGER | sizes},
         "runs": {"anna-lean": run, "anna-other": run | {"scene": "elsewhere"},
                  "anna-agnostic": run | {"method": "agnostic"}},
     }  # fmt: skip
@@ -60,7 +62,7 @@ def end(fitting, scene):
     def end(stage, name="anna-lean"):
         item = "capsules-blurred-lean" if stage == "warmup" else name
         out = fitting / "data" / stage / item
-        scene.avatar.save(out / "avatar")
+        dataclasses.replace(scene.avatar, iteration=ENDS[stage]).save(out / "avatar")
         if stage != "warmup":
             scene.motion.save(out / "motion")
         shutil.rmtree(out.with_name(f".{out.name}.unfinished"), ignore_errors=True)
@@ -75,14 +77,14 @@ def project(tmp_path, monkeypatch, scene):
     for folder, runs in (("", ["capsules-lean"]), ("avatars/anna", ["anna-lean", "anna-paper"])):
         place = tmp_path / folder
         for name in runs:
-            scene.avatar.save(place / "data/fusion" / name / "avatar")
+            fitted = dataclasses.replace(scene.avatar, iteration=ENDS["fusion"])
+            fitted.save(place / "data/fusion" / name / "avatar")
             scene.motion.save(place / "data/fusion" / name / "motion")
         scene.observations.save(place / "data/preprocess/capsules/blurred")
         sizes = {"gaussians": 80, "image_height": 24, "levels": []}
         content = {
             "from": {"footage": "data"}, "runs": dict.fromkeys([*runs, "unmade"], run),
-            "schedule": "tiny",
-            "schedules": {"tiny": {"warmup": 6, "trajectory": 12, "fusion": 18} | sizes},
+            "schedule": "tiny", "schedules": {"tiny": ENDS | sizes}, "snapshots": 0,
         }  # fmt: skip
         with (place / "params.yaml").open("w") as file:
             YAML().dump(content, file)

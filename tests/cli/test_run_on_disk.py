@@ -6,7 +6,7 @@ import shutil
 import pytest
 import torch
 
-from deblur_avatar.cli.run_on_disk import RunOnDisk, Standing
+from deblur_avatar.cli.run_on_disk import STAGES, RunOnDisk, Standing
 from deblur_avatar.errors import ArtifactError
 
 
@@ -21,7 +21,7 @@ def test_before_the_first_snapshot_there_is_nothing_to_show(fitting, begin):
 
 
 def test_the_newest_snapshot_is_shown_and_says_how_far_it_is(fitting, begin):
-    begin("warmup", snapshots=(1, 4), saved=5, seconds=5.0)
+    begin("warmup", snapshots=(4,), saved=5, seconds=5.0)
     on_disk = RunOnDisk(fitting, "anna-lean")
     kept = on_disk.newest()
     assert kept.iteration == 4
@@ -69,6 +69,67 @@ def test_a_stopped_fit_is_passed_over_once_the_former_one_is_back(fitting, begin
     assert (on_disk.newest().iteration, on_disk.newest().whole) == (18, True)
     assert on_disk.standing() == Standing(18, 18, None)
     assert on_disk.seconds_left() is None
+
+
+def switch(fitting, before, after):
+    """Change a run's parameters."""
+    params = fitting / "params.yaml"
+    text = params.read_text()
+    assert before in text
+    params.write_text(text.replace(before, after))
+
+
+@pytest.mark.parametrize(
+    ("ended", "stopped", "snapshots", "saved"),
+    [
+        (0, "warmup", (4,), 5), (1, "trajectory", (), 8), (1, "trajectory", (9,), 10),
+        (2, "fusion", (), 15), (3, "warmup", (4,), 5),
+    ],
+)  # fmt: skip
+def test_a_stopped_fit_counts_by_the_schedule_that_it_was_made_with(
+    fitting, begin, end, ended, stopped, snapshots, saved
+):
+    for stage in STAGES[:ended]:
+        end(stage)
+    begin(stopped, snapshots=snapshots, saved=saved, seconds=6.0)
+    before = RunOnDisk(fitting, "anna-lean")
+    switch(fitting, "schedule: tiny", "schedule: longer")
+    after = RunOnDisk(fitting, "anna-lean")
+    assert after.standing() == before.standing() == Standing(saved, 18, 6.0)
+    assert after.seconds_left() == before.seconds_left()
+    if snapshots:
+        fitted = after.fitted(after.newest(), after.observations())
+        assert fitted.name == f"anna-lean, step {snapshots[-1]} of 18"
+
+
+def test_where_nothing_tells_schedules_apart_the_present_one_counts(fitting, begin):
+    begin("warmup", saved=2)  # before the first snapshot of either
+    switch(fitting, "schedule: tiny", "schedule: longer")
+    assert RunOnDisk(fitting, "anna-lean").standing().last == 80
+
+
+def test_a_finished_fit_counts_by_the_schedule_that_it_was_made_with(fitting, end):
+    for stage in STAGES:
+        end(stage)
+    switch(fitting, "fusion: 18", "fusion: 24")  # which no schedule has any more
+    switch(fitting, "schedule: tiny", "schedule: longer")
+    on_disk = RunOnDisk(fitting, "anna-lean")
+    assert on_disk.standing() == Standing(18, 18, None)
+    assert on_disk.fitted(on_disk.newest(), on_disk.observations()).name == "anna-lean"
+
+
+def test_a_stopped_fit_of_a_schedule_that_is_gone_says_so(fitting, begin, end):
+    end("warmup")
+    begin("trajectory", snapshots=(9,), saved=10, seconds=8.0)
+    switch(fitting, "fusion: 18", "fusion: 24")
+    on_disk = RunOnDisk(fitting, "anna-lean")
+    assert on_disk.standing() == Standing(10, None, 8.0)
+    assert not on_disk.standing().finished
+    assert on_disk.seconds_left() is None
+    kept = on_disk.newest()
+    assert on_disk.fitted(kept, on_disk.observations()).name == (
+        "anna-lean, step 9, of another schedule"
+    )
 
 
 def test_a_snapshot_that_is_thrown_away_in_between_is_an_error_of_our_own(fitting, begin):
