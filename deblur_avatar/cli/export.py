@@ -18,7 +18,7 @@ from typing import Any, get_type_hints
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.cli.run_on_disk import check_same_frames
+from deblur_avatar.cli.run_on_disk import STAGES, check_same_frames, check_same_pictures
 from deblur_avatar.config.reading import load_params, parse, read_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ConfigError
@@ -142,6 +142,7 @@ def load_run(folder: Path, name: str) -> FittedRun:
         sharp=sharp_observations(prepared / "sharp"),
     )
     check_same_frames(name, found.motion, found.observations)
+    check_same_pictures(folder, name, STAGES[-1])
     return found
 
 

@@ -24,6 +24,7 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.cli.homes import PARAMS
+from deblur_avatar.cli.locked_stages import LOCK, locked_stage
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
@@ -35,6 +36,7 @@ from deblur_avatar.training.schedule import ScheduleParams
 logger = logging.getLogger(__name__)
 
 STAGES = ("warmup", "trajectory", "fusion")  # in their order
+AGAIN = "run again what fits it (`deblur-avatar video`, `dvc repro`), to its end"
 
 
 @dataclass(frozen=True)
@@ -72,17 +74,14 @@ class RunOnDisk:
         file = folder / PARAMS
         self.name = name
         self.run: RunParams = load_params(file, f"runs.{name}", RunParams)
-        self._footage = folder / load_params(file, "from.footage", str)
+        self._folder, self._footage = folder, folder / load_params(file, "from.footage", str)
         chosen = load_params(file, "schedule", str)
         self.schedule: ScheduleParams = load_params(file, f"schedules.{chosen}", ScheduleParams)
         self._schedules = load_params(file, "schedules", dict[str, ScheduleParams])
         self._snapshots = load_params(file, "snapshots", int)
         run = self.run
-        self.warmup = f"{run.scene}-{run.observations}-{run.avatar}"  # what it goes on from
-        self._outs = {
-            stage: folder / "data" / stage / (self.warmup if stage == "warmup" else name)
-            for stage in STAGES
-        }
+        self.warmup = _item(run, name, "warmup")  # what it goes on from
+        self._outs = {stage: folder / "data" / stage / _item(run, name, stage) for stage in STAGES}
 
     def observations(self) -> Observations:
         """What it is fitted to.
@@ -125,6 +124,8 @@ class RunOnDisk:
             avatar = Avatar.load(kept.place / "avatar")
             motion = self._motion(kept.place, avatar, observations)
         check_same_frames(self.name, motion, observations)
+        if kept.whole:
+            check_same_pictures(self._folder, self.name, kept.stage)
         last, far = self._last(kept, kept.stage), ""
         if last is None:
             far = f", step {kept.iteration}, of another schedule"
@@ -242,9 +243,40 @@ def check_same_frames(name: str, motion: Motion, observations: Observations) -> 
     if not torch.equal(motion.timestamps, observations.timestamps):
         raise ArtifactError(
             f"{name} was fitted to {_frames(motion.timestamps)}, and its scene now has "
-            f"{_frames(observations.timestamps)}; run again what fits it (`deblur-avatar video`, "
-            "`dvc repro`), to its end"
+            f"{_frames(observations.timestamps)}; {AGAIN}"
         )
+
+
+def check_same_pictures(folder: Path, name: str, stage: str) -> None:
+    """Refuse a run that was fitted before its frames were made of another film, say.
+
+    By what DVC's locks say of them, where they do. A schedule of another size makes other frames
+    of the same film: whether it was the same is not known then.
+
+    Args:
+        folder: whose parameters name the run.
+        name: of the run.
+        stage: whose output is to be shown.
+
+    Raises:
+        ArtifactError: if what `preprocess` made last is not what the stage was given.
+    """
+    run: RunParams = load_params(folder / PARAMS, f"runs.{name}", RunParams)
+    footage = load_params(folder / PARAMS, "from.footage", str)
+    seen = f"preprocess/{run.scene}/{run.observations}"
+    fitted = locked_stage(folder, f"{stage}@{_item(run, name, stage)}")
+    prepared = locked_stage((folder / footage).parent, f"preprocess@{run.scene}")
+    digests = {fitted.read(f"{footage}/{seen}"), prepared.left(f"data/{seen}")} - {None}
+    if len(digests) > 1 and fitted.schedule == prepared.schedule:
+        raise ArtifactError(
+            f"{name} was fitted to other frames than its scene has now, as {folder / LOCK} says: "
+            f"of another film, or with other masks or poses; {AGAIN}"
+        )
+
+
+def _item(run: RunParams, name: str, stage: str) -> str:
+    """What a stage calls its part of a run, which runs that differ later may share."""
+    return f"{run.scene}-{run.observations}-{run.avatar}" if stage == STAGES[0] else name
 
 
 def _touched(folder: Path) -> int:

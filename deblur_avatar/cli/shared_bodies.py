@@ -10,9 +10,8 @@ at any time.
 import logging
 from pathlib import Path
 
+from deblur_avatar.cli.locked_stages import locked_stage
 from deblur_avatar.cli.running_dvc import push, reproduce_from
-from deblur_avatar.config.reading import read_yaml
-from deblur_avatar.errors import ConfigError
 from deblur_avatar.rendering.native_build import cache_folder
 
 logger = logging.getLogger(__name__)
@@ -52,9 +51,7 @@ def _is_shared(folder: Path, name: str, cache: Path) -> bool:
 
     Where that cannot be told it is sent again, which changes nothing.
     """
-    try:
-        (out,) = read_yaml(folder / "dvc.lock")["stages"][f"body@{name}"]["outs"]
-        digest = out["md5"]
-    except (ConfigError, KeyError, TypeError, ValueError):
+    digest = locked_stage(folder, f"body@{name}").left(f"data/body/{name}")
+    if digest is None:
         return False
     return (cache / "files/md5" / digest[:2] / digest[2:]).is_file()

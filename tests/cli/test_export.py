@@ -132,6 +132,72 @@ def test_frames_that_were_chosen_anew_since_the_fit_are_no_part_of_it(
     assert not list(project.glob("a.*"))
 
 
+# As DVC writes it, of what matters here.
+LOCK = """\
+schema: '2.0'
+stages:
+  preprocess@capsules:
+    cmd: python pipeline/stages/preprocess.py --scene capsules
+    params:
+      params.yaml:
+        schedule: {schedule}
+        seed: 0
+    outs:
+    - path: data/preprocess/capsules/blurred
+      hash: md5
+      md5: 9c7601a35dc496f58d32376971c02713.dir
+    - path: data/preprocess/capsules/exact
+      hash: md5
+      md5: 8a831d1f1a5f2b1fdceea123ec50a2da.dir
+  fusion@anna-lean:
+    cmd: python pipeline/stages/fusion.py --avatar lean
+    deps:
+    - path: data/preprocess/capsules/blurred
+      hash: md5
+      md5: {fitted_to}.dir
+    - path: data/trajectory/anna-lean
+      hash: md5
+      md5: 189e38a76b66a15e948ebf61967159ad.dir
+    params:
+      params.yaml:
+        schedule: large
+        seed: 0
+"""
+ANOTHER, SAME = "3f1c0f9d2e7b4a55a1d0c4b7e8f60912", "9c7601a35dc496f58d32376971c02713"
+FILM = [
+    "export avatars/anna/anna-lean --format page --motions own --pictures 2 --out a.html",
+    "export avatars/anna/anna-lean --format npz --out a.npz",
+    "view avatars/anna/anna-lean --port 0",
+]
+
+
+@pytest.mark.parametrize("words", FILM)
+def test_another_film_of_equal_length_is_no_part_of_the_fit(project, monkeypatch, capsys, words):
+    monkeypatch.setattr(LiveViewer, "run", LiveViewer.stop)
+    (project / "avatars/anna/dvc.lock").write_text(LOCK.format(schedule="large", fitted_to=ANOTHER))
+    assert main(words.split()) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert "anna-lean was fitted to other frames than its scene has now" in line
+    assert not list(project.glob("a.*"))
+
+
+@pytest.mark.parametrize(
+    "lock",
+    [
+        LOCK.format(schedule="large", fitted_to=SAME),
+        LOCK.format(schedule="short", fitted_to=ANOTHER),  # the same film, at another size
+        LOCK.format(schedule="large", fitted_to=ANOTHER).replace("fusion@", "trajectory@"),
+        LOCK.format(schedule="large", fitted_to=ANOTHER).replace("preprocess@", "clip@"),
+        LOCK.format(schedule="large", fitted_to=ANOTHER).replace("    outs:", "    outs"),
+        "stages:",
+    ],
+    ids=["the same", "another schedule", "not fitted", "not prepared", "damaged", "empty"],
+)
+def test_frames_of_which_the_lock_says_nothing_else_are_shown(project, lock):
+    (project / "avatars/anna/dvc.lock").write_text(lock)
+    assert main(FILM[1].split()) == 0
+
+
 def test_an_avatar_is_shown_live_on_this_machine_alone(project, monkeypatch, caplog):
     imported("viser")
     monkeypatch.setattr(LiveViewer, "run", LiveViewer.stop)

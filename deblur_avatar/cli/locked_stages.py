@@ -1,0 +1,50 @@
+"""Locked stages: what `dvc.lock` says that a stage of a folder's pipeline read, and left.
+
+A lock that is missing or damaged, or larger than a parameter file, says nothing.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deblur_avatar.config.reading import read_yaml
+from deblur_avatar.errors import ConfigError
+
+LOCK = "dvc.lock"
+
+
+@dataclass(frozen=True)
+class LockedStage:
+    """One entry of a lock; empty where there is none."""
+
+    entry: dict[str, Any]
+
+    def read(self, path: str) -> str | None:
+        """The digest of what it read there."""
+        return self._digest("deps", path)
+
+    def left(self, path: str) -> str | None:
+        """The digest of what it left there."""
+        return self._digest("outs", path)
+
+    @property
+    def schedule(self) -> str | None:
+        """The name of the schedule it was run with, of stages that follow one."""
+        try:
+            return str(self.entry["params"]["params.yaml"]["schedule"])
+        except (KeyError, TypeError):
+            return None
+
+    def _digest(self, part: str, path: str) -> str | None:
+        try:
+            return next(str(one["md5"]) for one in self.entry[part] if one["path"] == path)
+        except (KeyError, TypeError, StopIteration):
+            return None
+
+
+def locked_stage(folder: Path, name: str) -> LockedStage:
+    """What a folder's lock says of a stage, named as DVC does: `fusion@anna-lean`."""
+    try:
+        return LockedStage(dict(read_yaml(folder / LOCK)["stages"][name]))
+    except (ConfigError, KeyError, TypeError, ValueError):
+        return LockedStage({})
