@@ -16,6 +16,7 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars import plain_avatar
 from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.capsule import capsule_body
@@ -56,6 +57,25 @@ def quick_processes() -> None:
     more to import what it needs.
     """
     os.environ.pop("DEBLUR_AVATAR_CHECK_SHAPES", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bodies_looked_at_once() -> Iterator[None]:
+    """What a plain avatar looks at its body for, half a second for each of them, is the same for
+    every fit of that body, and is never changed.
+    """
+    look = plain_avatar.closure_views
+    known: dict[tuple[bytes, ...], Any] = {}
+
+    def remembered(vertices: torch.Tensor, faces: torch.Tensor) -> Any:
+        asked = tuple(part.cpu().numpy().tobytes() for part in (vertices, faces))
+        if asked not in known:
+            known[asked] = look(vertices, faces)
+        return known[asked]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plain_avatar, "closure_views", remembered)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -199,8 +219,15 @@ def tiny_parameters() -> dict[str, Any]:
     model["nonrigid"] = {"bins": 4, "hidden": [8], "codes": 2}
     model["skinning"] = {"hidden": [16], "pretrain": 20}
     model["color"] = {"features": 4, "hidden": [8], "latent": 2, "view_noise_degrees": 45.0}
-    surface = content["avatars"]["arah_small"]["model"]
-    surface["sdf"]["pretrain"], surface["skinning"]["pretrain"] = 30, 30
+    surface = content["avatars"]["arah_small"]
+    surface["model"] |= {
+        "precision": "float32",  # the other is emulated on some processors, and slow
+        "skinning": {"hidden": [16, 16], "pretrain": 30, "nodes": 16},
+        "color": {"hidden": [8]},
+        "samples": {"near": 5, "front": 3, "free": 6, "band_m": 0.05},
+    }
+    surface["model"]["sdf"] |= {"hidden": [32, 32, 32], "latent": 3, "pretrain": 30}
+    surface["fitting"]["rays"]["patches"] = 60
     network = content["methods"]["paper"]["fusion"]["network"]
     network |= {"hidden": [8], "frame_codes": 4, "color_features": 4}
     ends = {"warmup": 6, "trajectory": 12, "fusion": 18}

@@ -33,7 +33,7 @@ def test_any_avatar_is_fitted_with_any_motion(avatar, motion, observations, sche
     }
     recipe = parse(RecipeParams, recipes[0], "recipe")
     moves = parse(TrajectoryParams, content, "trajectory")
-    schedule = schedule.model_copy(update={"warmup": 2, "trajectory": 4, "fusion": 6})
+    schedule = schedule.model_copy(update={"warmup": 1, "trajectory": 2, "fusion": 4})
     torch.manual_seed(0)
     shared = {"device": CPU, "generator": torch.Generator().manual_seed(0), "report": quiet}
     fitted, checkpoint, _ = warm_up(observations, recipe, schedule, **shared)
