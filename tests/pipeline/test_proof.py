@@ -13,17 +13,23 @@ from tests.evaluation.test_proof_grid import PSNR
 from tests.proof_results import PLAN, small_plan, write_cell
 
 
-@pytest.fixture
-def metrics(tmp_path):
+def measured(folder):
     for cell in cells_of(small_plan()).values():
         psnr = PSNR[cell.avatar, cell.motion] + cell.seed + 0.3 * (cell.schedule == "x2")
-        write_cell(tmp_path / "metrics", cell, psnr - 0.5 * (cell.scene == "leaping_17"))
-    return tmp_path / "metrics"
+        write_cell(folder, cell, psnr - 0.5 * (cell.scene == "leaping_17"))
+    return folder
 
 
 @pytest.fixture
-def report(metrics, tmp_path):
-    return report_proof(small_plan(), metrics, tmp_path / "strips")
+def metrics(tmp_path):
+    return measured(tmp_path / "metrics")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """Of results that nobody changes: the chart takes a second."""
+    folder = tmp_path_factory.mktemp("proof")
+    return report_proof(small_plan(), measured(folder / "metrics"), folder / "strips")
 
 
 def test_the_summary_has_every_avatar_and_motion_of_every_scene(report):
