@@ -181,6 +181,14 @@ def test_another_film_of_equal_length_is_no_part_of_the_fit(project, monkeypatch
     assert not list(project.glob("a.*"))
 
 
+def test_a_lock_of_many_runs_is_read_too(project, capsys):
+    others = "".join(f"  clip@{n}:\n    cmd: {'x' * 1000}\n" for n in range(300))
+    lock = LOCK.format(schedule="large", fitted_to=ANOTHER)
+    (project / "avatars/anna/dvc.lock").write_text(lock + others)
+    assert main(FILM[0].split()) == 1
+    assert "fitted to other frames" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "lock",
     [
