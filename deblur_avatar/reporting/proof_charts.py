@@ -4,6 +4,7 @@ Conventions. A curve is of (seconds, quality) at each snapshot. The Pareto front
 snapshots of all cells of a scene that saw blurred frames.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 from matplotlib import ticker
@@ -15,12 +16,13 @@ from deblur_avatar.reporting.charts import COLORS, INK, lay_out, legend, panels
 from deblur_avatar.reporting.proof_tables import SETTLED, SHARP, settled_s
 from deblur_avatar.reporting.speed_accuracy import pareto_front
 
+CROWDED = 2.2  # decades from where on three labels each touch
 Curve = Sequence[tuple[float, float]]
 Curves = Mapping[str, Mapping[str, Curve]]  # by avatar and motion
 
 
 def quality_chart(scenes: Mapping[str, Curves], quality: str) -> Figure:
-    """A row a scene, a column an avatar.
+    """A row a scene, a column an avatar; no panel where a scene has no curve of it.
 
     Dashed: cells that saw sharp frames. Ringed: where a cell reaches `SETTLED` of its final
     quality. Dotted: the Pareto front of both avatars' cells.
@@ -36,27 +38,32 @@ def quality_chart(scenes: Mapping[str, Curves], quality: str) -> Figure:
     for line, (scene, curves) in zip(axes, scenes.items(), strict=True):
         front = front_of(curves)
         for panel, avatar in zip(line, avatars, strict=True):
+            if avatar not in curves:
+                panel.set_visible(False)
+                continue
             panel.step(*zip(*front, strict=True), where="post", color=INK, lw=1.0,
                        ls=(0, (1, 2))) if front else None  # fmt: skip
-            for motion, curve in curves.get(avatar, {}).items():
+            for motion, curve in curves[avatar].items():
                 _draw(panel, curve, colors[motion], sharp=motion in SHARP)
             panel.set(title=f"{scene}, {avatar}", xlabel="training, seconds", ylabel=quality,
                       xscale="log")  # fmt: skip
-            panel.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
             panel.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
             panel.xaxis.set_minor_locator(ticker.NullLocator())
-        _align(line)
+        _align([panel for panel in line if panel.get_visible()])
     legend(figure, colors)
     lay_out(figure)
     return figure
 
 
 def _align(line: Sequence[Axes]) -> None:
-    """Give panels side by side the widest of their axes."""
+    """Give panels side by side the widest of their axes, and as many labels as have room."""
     lows, highs = zip(*(panel.get_ylim() for panel in line), strict=True)
     starts, ends = zip(*(panel.get_xlim() for panel in line), strict=True)
+    start, end = min(starts), max(ends)
+    steps = (1, 2, 5) if math.log10(end / start) < CROWDED else (1, 3)
     for panel in line:
-        panel.set(ylim=(min(lows), max(highs)), xlim=(min(starts), max(ends)))
+        panel.set(ylim=(min(lows), max(highs)), xlim=(start, end))
+        panel.xaxis.set_major_locator(ticker.LogLocator(subs=steps))
 
 
 def front_of(curves: Curves) -> list[tuple[float, float]]:

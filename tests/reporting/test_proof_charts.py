@@ -19,6 +19,15 @@ def test_a_row_is_a_scene_and_a_column_an_avatar():
     said = texts({"leaping": CURVES, "lying": {"plain": CURVES["plain"]}})
     assert {"leaping, networks", "leaping, plain", "lying, plain"} <= set(said)
     assert {"paper", "oracle", "clip"} <= set(said)
+    assert "lying, networks" not in said  # a panel without a curve
+
+
+def test_seconds_over_many_decades_leave_each_other_room():
+    near, far = ({"plain": {"clip": [(3.0, 19.0), (end, 25.0)]}} for end in (90.0, 900.0))
+    assert {"5", "20", "50"} <= set(texts({"leaping": near}))
+    said = set(texts({"leaping": far}))
+    assert {"3", "10", "30", "100", "300"} <= said
+    assert not {"5", "50", "200", "500"} & said
 
 
 def test_the_front_is_over_both_avatars_and_leaves_out_who_saw_sharp_frames():
