@@ -219,15 +219,8 @@ def tiny_parameters() -> dict[str, Any]:
     model["nonrigid"] = {"bins": 4, "hidden": [8], "codes": 2}
     model["skinning"] = {"hidden": [16], "pretrain": 20}
     model["color"] = {"features": 4, "hidden": [8], "latent": 2, "view_noise_degrees": 45.0}
-    surface = content["avatars"]["arah_small"]
-    surface["model"] |= {
-        "precision": "float32",  # the other is emulated on some processors, and slow
-        "skinning": {"hidden": [16, 16], "pretrain": 30, "nodes": 16},
-        "color": {"hidden": [8]},
-        "samples": {"near": 5, "front": 3, "free": 6, "band_m": 0.05},
-    }
-    surface["model"]["sdf"] |= {"hidden": [32, 32, 32], "latent": 3, "pretrain": 30}
-    surface["fitting"]["rays"]["patches"] = 60
+    surface = content["avatars"]["arah_small"]["model"]
+    surface["sdf"]["pretrain"], surface["skinning"]["pretrain"] = 30, 30
     network = content["methods"]["paper"]["fusion"]["network"]
     network |= {"hidden": [8], "frame_codes": 4, "color_features": 4}
     ends = {"warmup": 6, "trajectory": 12, "fusion": 18}

@@ -22,6 +22,11 @@ def quiet(iteration, terms):
 @pytest.mark.parametrize("motion", KINDS)
 @pytest.mark.parametrize("avatar", AVATARS)
 def test_any_avatar_is_fitted_with_any_motion(avatar, motion, observations, schedule, tiny_content):
+    surface = tiny_content["avatars"]["arah_small"]
+    surface["model"]["samples"] |= {"near": 5, "front": 3, "free": 6}
+    surface["model"]["sdf"]["hidden"] = [32, 32, 32]
+    surface["model"]["skinning"]["hidden"] = [16, 16]
+    surface["fitting"]["rays"]["patches"] = 60
     recipes = [
         recipe for recipe in tiny_content["avatars"].values() if recipe["model"]["kind"] == avatar
     ]
