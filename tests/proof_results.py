@@ -4,8 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deblur_avatar.config.proof import Cell, ProofParams, warmup_of
 from deblur_avatar.config.reading import parse
+from deblur_avatar.imaging.picture_files import write_picture
 
 ITERATIONS = {"x1": 80, "x2": 160}
 PLAN: dict[str, Any] = {
@@ -87,3 +90,15 @@ def write_cell(
         path = metrics / cell.scene / f"{name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(written))
+
+
+def write_pictures(data: Path, cell: Cell, level: int = 200) -> None:
+    """Write what `evaluate` draws of a cell: one view of a person as bright as `level`."""
+    folder = data / cell.scene / "evaluate" / cell.name
+    picture = np.zeros((24, 24, 3), np.uint8)
+    picture[6:18, 8:16] = level
+    files = {name: f"{name}.png" for name in ("render", "blurred", "truth")}
+    for file in files.values():
+        write_picture(folder / file, picture)
+    view = {"camera": "test1", "frame": 3, "novel_pose": False} | files
+    (folder / "views.json").write_text(json.dumps([view]))

@@ -4,6 +4,7 @@ A lock that is missing or damaged says nothing.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,11 @@ class LockedStage:
 def locked_stage(folder: Path, name: str) -> LockedStage:
     """What a folder's lock says of a stage, named as DVC does: `fusion@anna-lean`."""
     try:
-        content = yaml.load((folder / LOCK).read_bytes(), LOADER)
-        return LockedStage(dict(content["stages"][name]))
+        return LockedStage(dict(_parsed((folder / LOCK).read_bytes())["stages"][name]))
     except (OSError, yaml.YAMLError, RecursionError, KeyError, TypeError, ValueError):
         return LockedStage({})
+
+
+@lru_cache(maxsize=2)  # one lock often says what was fitted and what was prepared
+def _parsed(text: bytes) -> Any:
+    return yaml.load(text, LOADER)

@@ -127,6 +127,12 @@ def schedules_of(found: Sequence[Found], scene: str) -> list[str]:
     return sorted(lengths, key=lambda name: (-names.count(name), -lengths[name]))
 
 
+def in_main_schedule(found: Sequence[Found], scene: str) -> list[Found]:
+    """A scene's cells in the first of its schedules."""
+    main = schedules_of(found, scene)[:1]
+    return [one for one in found if one.cell.scene == scene and one.cell.schedule in main]
+
+
 def numbers_of(entry: Entry | None) -> dict[str, Any] | None:
     """An entry as `summary.json` has it; None for a cell that nobody fitted."""
     if entry is None:

@@ -18,6 +18,7 @@ from deblur_avatar.evaluation.proof_grid import (
     Found,
     Grid,
     grid_of,
+    in_main_schedule,
     numbers_of,
     pooled_grid,
     read_cells,
@@ -205,10 +206,9 @@ def _curves(found: Sequence[Found], scene: str) -> dict[str, dict[str, list[tupl
 
 def _first_seed(found: Sequence[Found], scene: str) -> list[Found]:
     """The scene's cells in its main schedule, each in the first seed that has a curve."""
-    schedule = schedules_of(found, scene)[0]
     first: dict[tuple[str, str], Found] = {}
-    for one in found:
-        if (one.cell.scene, one.cell.schedule) == (scene, schedule) and curve_of(one):
+    for one in in_main_schedule(found, scene):
+        if curve_of(one):
             first.setdefault((one.cell.avatar, one.cell.motion), one)
     return list(first.values())
 

@@ -5,10 +5,11 @@ another an avatar. So strips gather beside the page, and the page shows all that
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from deblur_avatar.config.proof import ProofParams
-from deblur_avatar.evaluation.proof_grid import Found, schedules_of
+from deblur_avatar.evaluation.proof_grid import Found, in_main_schedule
 from deblur_avatar.reporting.kept_strips import KeptStrips, keep_strips, read_strips
 from deblur_avatar.reporting.picture_strips import strips_of_scene
 from deblur_avatar.reporting.proof_tables import MAIN
@@ -68,18 +69,12 @@ def current_strips(
         for motion, quality in strips.fits.items()
         if motion in fits and quality_of(fits[motion]) == quality
     }
-    return KeptStrips(strips.folder, strips.captions, same, strips.truth) if same else None
+    return replace(strips, fits=same) if same else None
 
 
 def shown_fits(found: Sequence[Found], scene: str, avatar: str) -> dict[str, Found]:
     """An avatar's fits that strips show: each motion's first seed in the scene's main schedule."""
-    schedules = schedules_of(found, scene)
-    of = [
-        one
-        for one in found
-        if (one.cell.scene, one.cell.avatar) == (scene, avatar)
-        and one.cell.schedule in schedules[:1]
-    ]
+    of = [one for one in in_main_schedule(found, scene) if one.cell.avatar == avatar]
     first = {one.cell.motion: one for one in reversed(of)}
     return {motion: first[motion] for motion in SHOWN if motion in first}
 

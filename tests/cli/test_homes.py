@@ -65,8 +65,8 @@ def test_a_remote_that_its_user_has_added_stays(folder):
     ("written", "left"),
     [
         (  # by an earlier version alone
-            "[core]\n    remote = bodies\n['remote \"bodies\"']\n    url = /home/anna/bodies\n",
-            "[core]\n['remote \"bodies\"']\n    url = /home/anna/bodies\n",
+            "[core]\n    remote = bodies\n['remote \"bodies\"']\n    url = ../bodies\n",
+            "[core]\n['remote \"bodies\"']\n    url = ../bodies\n",
         ),
         (
             "#\r\n[cache]\r\ndir =  /a # large\r\n[core]\r\nremote='bodies' # ?\r\nautostage=true",

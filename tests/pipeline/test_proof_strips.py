@@ -1,19 +1,16 @@
 """Strips of the proof: what was kept stays until as much takes its place."""
 
-import json
+import shutil
 
-import numpy as np
 import pytest
 
 from deblur_avatar.config.proof import Cell
 from deblur_avatar.evaluation.proof_grid import read_cells
-from deblur_avatar.imaging.picture_files import read_picture, write_picture
+from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.pipeline.proof_strips import current_strips, gather_strips
 from deblur_avatar.reporting.kept_strips import read_strips
-from tests.proof_results import small_plan, write_cell
+from tests.proof_results import small_plan, write_cell, write_pictures
 
-VIEW = {"camera": "test1", "frame": 3, "novel_pose": False, "render": "r.png", "blurred": "b.png",
-        "truth": "t.png"}  # fmt: skip
 MOTIONS = ("agnostic", "clip")
 
 
@@ -26,17 +23,11 @@ def fit(folder, motion, *, psnr=18.0, level=200, pictures=True, seed=0):
     write_cell(folder / "metrics", cell(motion, seed), psnr)
     if not pictures:
         return
-    where = folder / "data/leaping/evaluate" / cell(motion, seed).name
-    picture = np.zeros((24, 24, 3), np.uint8)
-    picture[6:18, 8:16] = level
-    for name in ("r", "b", "t"):
-        write_picture(where / f"{name}.png", picture)
-    (where / "views.json").write_text(json.dumps([VIEW]))
+    write_pictures(folder / "data", cell(motion, seed), level)
 
 
 def forget_pictures(folder):
-    for path in sorted((folder / "data").rglob("*"), reverse=True):
-        path.rmdir() if path.is_dir() else path.unlink()
+    shutil.rmtree(folder / "data")
 
 
 def gather(folder, **changes):

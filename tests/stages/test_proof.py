@@ -1,11 +1,11 @@
 import json
+import shutil
 
 from ruamel.yaml import YAML
 
-from deblur_avatar.config.proof import cells_of
+from deblur_avatar.config.proof import Cell, cells_of
 from tests.evaluation.test_proof_grid import PSNR
-from tests.pipeline.test_proof_strips import fit, forget_pictures
-from tests.proof_results import PLAN, small_plan, write_cell
+from tests.proof_results import PLAN, small_plan, write_cell, write_pictures
 from tests.stages.running import run_script
 
 
@@ -30,7 +30,9 @@ def test_it_writes_the_page_and_prints_the_grid_and_where_it_lies(tmp_path):
 
 def test_pictures_that_lie_here_are_kept_beside_the_page(tmp_path):
     """The whole way: what `evaluate` left is on the page when its files are gone."""
-    fit(tmp_path, "clip")
+    cell = Cell("leaping", "plain", "clip", "x1", 0)
+    write_cell(tmp_path / "metrics", cell, 18.0)
+    write_pictures(tmp_path / "data", cell)
     with (tmp_path / "params.yaml").open("w") as file:
         YAML().dump({"seed": 0, "proof": PLAN}, file)
     given = {"metrics": tmp_path / "metrics", "params_file": tmp_path / "params.yaml"}
@@ -38,7 +40,7 @@ def test_pictures_that_lie_here_are_kept_beside_the_page(tmp_path):
     done = run_script("proof_strips", pictures=tmp_path / "data", out=strips, **given)
     assert done.returncode == 0, done.stderr
     assert "Pictures kept: leaping, plain: clip" in done.stderr
-    forget_pictures(tmp_path)
+    shutil.rmtree(tmp_path / "data")
     run_script("proof_strips", pictures=tmp_path / "data", out=strips, **given)
     run_script("proof", strips=strips, out=tmp_path / "reports", **given)
     page = (tmp_path / "reports/index.html").read_text()
