@@ -10,8 +10,10 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.findings import Scale, judged
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.imaging.video_writing import write_video
+from deblur_avatar.pipeline import report as pipeline_report
 from deblur_avatar.pipeline.report import make_report
 from deblur_avatar.reporting.avatar_pages import MAX_BYTES
+from deblur_avatar.reporting.charts import chart_files
 from deblur_avatar.reporting.picture_strips import (
     INPUT,
     TRUTH,
@@ -83,9 +85,25 @@ def project(tmp_path):
     return build_project(tmp_path)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def charts_drawn_once():
+    """A chart, half a second of drawing, is drawn once for the same rows."""
+    known = {}
+
+    def remembered(name, rows):
+        asked = name, json.dumps(rows)
+        if asked not in known:
+            known[asked] = chart_files(name, rows)
+        return dict(known[asked])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline_report, "chart_files", remembered)
+        yield
+
+
 @pytest.fixture(scope="module")
-def report(tmp_path_factory):
-    """Of a project that nobody changes: charts take a second."""
+def report(tmp_path_factory, charts_drawn_once):
+    """Of a project that nobody changes."""
     return made(build_project(tmp_path_factory.mktemp("project")))
 
 
@@ -217,7 +235,8 @@ def test_the_page_shows_both_charts_and_what_snapshots_told(project):
     assert not (project / "reports/media/quality_over_time.svg").exists()
 
 
-def test_equal_results_give_equal_bytes(project):
+def test_equal_results_give_equal_bytes(project, monkeypatch):
+    monkeypatch.setattr(pipeline_report, "chart_files", chart_files)  # drawn each time
     for name in ("a", "b"):
         made(project).save(project / name)
     files = sorted(p.relative_to(project / "a").as_posix() for p in (project / "a").rglob("*.*"))
