@@ -8,6 +8,7 @@ from deblur_avatar.sources.studio.hand_held import BOB, CameraPath, HandHeldPara
 
 EYE, TARGET, SECONDS = (0.0, 1.4, 4.0), (0.0, 0.9, 0.0), 20.0
 TIMES = torch.linspace(0, SECONDS, 4001, dtype=torch.float64)
+SPARSE = TIMES[::10]
 STEADY = HandHeldParams(sway_mm=0.0, shake_degrees=0.0, pan_degrees=0.0, walk_m=0.0)
 
 
@@ -36,32 +37,32 @@ def test_a_steady_hand_is_a_tripod():
 
 
 def test_sway_moves_the_eye_by_as_much_as_asked_for():
-    away = camera_centres(path(sway_mm=20.0).viewmats(TIMES)) - torch.tensor(EYE)
+    away = camera_centres(path(sway_mm=20.0).viewmats(SPARSE)) - torch.tensor(EYE)
     assert float(away.square().sum(1).mean().sqrt()) == pytest.approx(0.02, rel=0.1)
 
 
 def test_shake_turns_the_camera_by_as_much_as_asked_for_and_leaves_it_in_its_place():
-    viewmats = path(shake_degrees=0.5).viewmats(TIMES)
+    viewmats = path(shake_degrees=0.5).viewmats(SPARSE)
     assert float(angles(viewmats).square().mean().sqrt()) == pytest.approx(0.5, rel=0.1)
     assert (camera_centres(viewmats) - torch.tensor(EYE)).abs().max() < 1e-5
 
 
 def test_a_pan_turns_evenly_and_has_the_person_in_the_middle_half_way():
-    viewmats = path(pan_degrees=10.0).viewmats(TIMES)
-    assert angles(viewmats)[[0, 2000, 4000]].tolist() == pytest.approx([5, 0, 5], abs=1e-3)
+    viewmats = path(pan_degrees=10.0).viewmats(TIMES[[0, 2000, 4000]])
+    assert angles(viewmats).tolist() == pytest.approx([5, 0, 5], abs=1e-3)
     K = torch.tensor([[500.0, 0, 0], [0, 500, 0], [0, 0, 1]]).double()
     person = torch.tensor([TARGET]).double()
-    x = [float(project(person, K, viewmats[index])[0][0, 0]) for index in (0, 4000)]
+    x = [float(project(person, K, viewmats[index])[0][0, 0]) for index in (0, 2)]
     assert x[0] == pytest.approx(-x[1])
     assert abs(x[0]) == pytest.approx(500 * math.tan(math.radians(5)), rel=1e-3)
 
 
 def test_a_walk_passes_the_person_and_keeps_looking_at_her():
-    viewmats = path(walk_m=2.0).viewmats(TIMES)
+    viewmats = path(walk_m=2.0).viewmats(TIMES[::4])
     centres = camera_centres(viewmats)
-    assert centres[[0, 4000], 0].tolist() == pytest.approx([-1, 1], abs=1e-6)
+    assert centres[[0, -1], 0].tolist() == pytest.approx([-1, 1], abs=1e-6)
     assert float((centres[:, 1] - EYE[1]).abs().max()) == pytest.approx(BOB, rel=0.01)
-    assert angles(viewmats).max() < 1e-3
+    assert angles(viewmats[::3]).max() < 1e-3
 
 
 def test_the_way_is_smooth_and_the_same_for_the_same_seed():

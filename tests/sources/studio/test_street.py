@@ -1,3 +1,6 @@
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
@@ -59,6 +62,12 @@ def plain(body: Body) -> Take:
 
 
 @pytest.fixture(scope="module")
+def with_option(body: Body) -> Callable[[str], Take]:
+    """The take with one option, made once."""
+    return cache(lambda option: take(body, **{option: OPTIONS[option]}))
+
+
+@pytest.fixture(scope="module")
 def given(body: Body) -> tuple[Clip, Reference]:
     changes = {"hand_held": OPTIONS["hand_held"]}
     asked = params(**changes)
@@ -72,8 +81,10 @@ def test_without_options_a_person_stands_on_black(plain: Take):
 
 
 @pytest.mark.parametrize("option", [name for name in OPTIONS if name != "encoding"])
-def test_every_option_changes_the_film_and_is_off_by_itself(body: Body, plain: Take, option: str):
-    changed = take(body, **{option: OPTIONS[option]})
+def test_every_option_changes_the_film_and_is_off_by_itself(
+    body: Body, plain: Take, with_option: Callable[[str], Take], option: str
+):
+    changed = with_option(option)
     assert not torch.equal(changed.frames, plain.frames)
     again = take(body, **{option: OPTIONS[option]})
     assert torch.equal(changed.frames, again.frames)
@@ -81,13 +92,17 @@ def test_every_option_changes_the_film_and_is_off_by_itself(body: Body, plain: T
 
 
 @pytest.mark.parametrize("option", ["backdrop", "noise", "exposure_drift"])
-def test_what_is_not_the_person_s_leaves_her_matte_alone(body: Body, plain: Take, option: str):
-    assert torch.equal(take(body, **{option: OPTIONS[option]}).mattes, plain.mattes)
+def test_what_is_not_the_person_s_leaves_her_matte_alone(
+    plain: Take, with_option: Callable[[str], Take], option: str
+):
+    assert torch.equal(with_option(option).mattes, plain.mattes)
 
 
 @pytest.mark.parametrize("option", ["passer_by", "held_prop"])
-def test_what_comes_before_the_person_is_cut_out_of_her_matte(body: Body, plain: Take, option: str):
-    changed = take(body, **{option: OPTIONS[option]})
+def test_what_comes_before_the_person_is_cut_out_of_her_matte(
+    plain: Take, with_option: Callable[[str], Take], option: str
+):
+    changed = with_option(option)
     less = plain.mattes.int() - changed.mattes.int()
     assert less.min() >= 0
     shown = (changed.frames.int() - plain.frames.int()).abs().amax(-1) > 20

@@ -17,8 +17,8 @@ from deblur_avatar.sources.studio.unfitted_studio import (
 )
 
 SHARED = {
-    "motion": "turn", "frames": 8, "fps": 60.0, "image_size": 16, "test_cameras": 3,
-    "test_stride": 2, "window": 9, "samples_per_axis": 1, "noise_degrees": 1.5, "noise_mm": 5.0,
+    "motion": "turn", "frames": 4, "fps": 60.0, "image_size": 16, "test_cameras": 3,
+    "test_stride": 2, "window": 5, "samples_per_axis": 1, "noise_degrees": 1.5, "noise_mm": 5.0,
     "noise_correlation_s": 0.1, "held_out": 0.25,
 }  # fmt: skip
 OFF = UnfittedStudioParams(
@@ -58,7 +58,7 @@ def test_the_same_seed_films_the_same_scene(body: Body):
 
 
 def test_scenes_of_another_window_show_the_same_person_in_the_same_poses(body: Body, plain):
-    wider = filmed(body, window=17)[0]
+    wider = filmed(body, window=9)[0]
     assert torch.equal(wider.frames, plain[0].frames)
     assert same(wider.initial, plain[0].initial)
     assert not torch.equal(wider.true_blur_linear[0], plain[0].true_blur_linear[0])
