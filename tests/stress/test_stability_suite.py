@@ -3,6 +3,7 @@
 import json
 import logging
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -29,6 +30,7 @@ from deblur_avatar.config.reading import (
     read_params,
 )
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.pipeline import evaluate
 from deblur_avatar.training.schedule import ScheduleParams
 from tests.embedded_pictures import without_pictures
 from tests.structure.pipeline_files import ROOT
@@ -37,7 +39,7 @@ PARAMS = ROOT / "stability/params.yaml"
 METHODS = ("agnostic", "paper", "lean")
 CPU = torch.device("cpu")
 SCHEDULE = ScheduleParams(
-    warmup=6, trajectory=10, fusion=14, gaussians=200, image_height=32, levels=()
+    warmup=4, trajectory=6, fusion=8, gaussians=200, image_height=32, levels=()
 )
 SEVERITIES = {
     "seeds": ("clean", {}, {}),
@@ -74,15 +76,28 @@ def scene_params(**changes):
     return scene.model_copy(update={"clip": clip})
 
 
+@cache
+def parameters_of(method):
+    return FitSetup.of(method, PARAMS, 0, CPU)
+
+
 def setup(method, **changes):
     """Skinning weights are hardly learned beforehand: nothing here depends on them."""
-    chosen = FitSetup.of(method, PARAMS, 0, CPU)
+    chosen = parameters_of(method)
     quick = {"schedule": SCHEDULE, "draws": 1}
     if chosen.networks is not None:
         skinning = chosen.networks.model.skinning.model_copy(update={"pretrain": 3})
         model = chosen.networks.model.model_copy(update={"skinning": skinning})
         quick["networks"] = chosen.networks.model_copy(update={"model": model})
     return replace(chosen, **quick | changes)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def speed_measured_once():
+    """Nothing here depends on how fast an avatar is drawn."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluate, "TIMED_FRAMES", 1)
+        yield
 
 
 @pytest.fixture(scope="module")
