@@ -2,8 +2,8 @@
 
 A camera that drifts, turns or zooms sees its background through one homography a frame. Frames are
 matched with keyframes, warped into one mosaic, and the mosaic's median is warped back: a plate for
-each frame. Where the plate does not agree with the frame next to the person (parallax, a crowd, a
-change of light) it is not known there, and nothing is taken for background.
+each frame, in that frame's light. Where the plate does not agree with the frame next to the person
+(parallax, a crowd, a reflection) it is not known there, and nothing is taken for background.
 
 Conventions. `mosaic_from_frame` [F, 3, 3] maps pixels (x, y, 1) of a frame to the mosaic's.
 """
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
+from deblur_avatar.imaging.plate_light import plates_in_their_light
 
 MATCHED_WIDTH = 960  # pixels; larger frames are matched at this size
 FEATURES = 2000  # a frame: a textured wall has more, a bare one fewer
@@ -50,11 +51,13 @@ def aligned_plates(
     alignment = align_frames(frames, mattes)
     if alignment is None:
         return None
-    mosaic = _mosaic(frames, mattes, alignment)
-    plates = []
-    for frame, matte, placed in zip(frames, mattes, alignment.mosaic_from_frame, strict=True):
-        plates.append(_believed(frame, matte, _warped_back(mosaic, placed, tuple(matte.shape))))
-    return plates
+
+    def warped_back(frames: UInt8[Tensor, "F H W 3"]) -> list[Plate]:
+        mosaic, (height, width) = _mosaic(frames, mattes, alignment), mattes.shape[1:]
+        return [_warped_back(mosaic, p, (height, width)) for p in alignment.mosaic_from_frame]
+
+    plates = plates_in_their_light(frames, mattes, warped_back)
+    return [believed(*seen) for seen in zip(frames, mattes, plates, strict=True)]
 
 
 def align_frames(
@@ -164,7 +167,7 @@ def _warped_back(mosaic: Plate, placed: np.ndarray, shape: tuple[int, int]) -> P
     return Plate(torch.from_numpy(picture), torch.from_numpy(known))
 
 
-def _believed(frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], plate: Plate) -> Plate:
+def believed(frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], plate: Plate) -> Plate:
     """The plate, known only where the bare pixels around look like it."""
     radius = max(1, round(AROUND * matte.shape[0]))
     window = (2 * radius + 1, 2 * radius + 1)

@@ -1,8 +1,9 @@
 """Background models: what is behind the person, for each kind of camera.
 
-`none`: frames show the person on black already. `median`: one plate of a camera that stands still.
-`aligned`: a plate a frame, of a camera that drifts, turns or zooms. `matte`: no plate; a pixel is
-what its matte says. `auto` takes the first of median, aligned and matte that the frames allow.
+`none`: frames show the person on black already. `median`: one plate of a camera that stands still,
+in each frame's light. `aligned`: a plate a frame, of a camera that drifts, turns or zooms. `matte`:
+no plate; a pixel is what its matte says. `auto` takes the first of median, aligned and matte that
+the frames allow.
 """
 
 import logging
@@ -14,9 +15,10 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
-from deblur_avatar.imaging.aligned_plates import aligned_plates
+from deblur_avatar.imaging.aligned_plates import aligned_plates, believed
 from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.imaging.matting import Plate, background_plate, no_plate
+from deblur_avatar.imaging.plate_light import plates_in_their_light
 
 logger = logging.getLogger(__name__)
 
@@ -33,8 +35,7 @@ class Background(NamedTuple):
     @property
     def distinct(self) -> list[Plate]:
         """The plates, once each."""
-        plates = self.plates or []
-        return plates[:1] if self.kind == "median" else plates
+        return list({id(plate): plate for plate in self.plates or []}.values())
 
 
 def background_of(
@@ -51,7 +52,7 @@ def background_of(
         else:
             kind = "aligned"
     if kind == "median":
-        return Background(kind, [background_plate(frames, mattes)] * len(frames))
+        return Background(kind, _still_plates(frames, mattes))
     if kind == "aligned":
         plates = aligned_plates(frames, mattes)
         share = 0.0 if plates is None else _known_share(plates, mattes)
@@ -67,6 +68,18 @@ def background_of(
             100 * share,
         )
     return Background("matte", [no_plate(matte) for matte in mattes])
+
+
+def _still_plates(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]) -> list[Plate]:
+    """One plate, or one a frame where the light changes: known where it agrees with the frame."""
+
+    def one_plate(frames: UInt8[Tensor, "F H W 3"]) -> list[Plate]:
+        return [background_plate(frames, mattes)] * len(frames)
+
+    plates = plates_in_their_light(frames, mattes, one_plate)
+    if all(plate is plates[0] for plate in plates):
+        return plates
+    return [believed(*seen) for seen in zip(frames, mattes, plates, strict=True)]
 
 
 def matte_edge(matte: UInt8[Tensor, "H W"]) -> Bool[Tensor, "H W"]:

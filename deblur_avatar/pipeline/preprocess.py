@@ -274,7 +274,8 @@ def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) 
     if len(clip.recorded) > 1 or params.poses == "given":
         return [detect(frames) for frames in clip.frames]
     person, count = detect_main_person(clip.frames[0], detect)
-    logger.info("%d person found in %d frames", count, int(person.found.sum()))
+    seen = (count, int(person.found.sum()), len(person.found))
+    logger.info("people: %d; the one followed is found in %d of %d frames", *seen)
     if clip.landmarks is not None:
         points, visibility = clip.landmarks[0, ..., :2], clip.landmarks[0, ..., 2]
         world = None if person.world is None else person.world * person.found[:, None, None]

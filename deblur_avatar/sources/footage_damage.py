@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Bool, Float, Float64, UInt8
 from torch import Tensor
 
+from deblur_avatar.imaging.plate_light import BRIGHT, DARK
+
 ROWS = 180  # at which steps are seen: noise is averaged away, a person's motion is not
 REPEATED = 0.2  # share of the smaller of the steps around that a repeated frame's step is below
 OFTEN = 0.45  # that share for copies of a conversion: an encoder may lose a noisy repeat
@@ -25,7 +27,6 @@ JUDGED = 0.5  # share of those copies beside which something must move,
 MOVING = 0.5  # by this share of a usual step: an encoder smears the noise of what stands still
 LEAST_STEP = 0.02  # codes; steps below it are no motion, so nothing is told from them
 FEWEST_REPEATS = 3  # at a place of the pattern before they are a change of frame rate
-BRIGHT, DARK = 235, 24  # codes between which light is proportional enough to compare
 GAMMA = 2.2  # of codes, to say in stops how much light they stand for
 
 

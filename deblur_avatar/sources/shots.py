@@ -6,14 +6,18 @@ somewhere else in the next frame has not moved there.
 
 from itertools import pairwise
 
+import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from scenedetect.detectors import AdaptiveDetector
 from torch import Tensor
 
 HEIGHT = 144  # rows that pictures are compared at: sums over all pixels need no more
 WINDOW = 2  # frames on either side whose change a cut's stands out of
 FEW = 2 * WINDOW + 2
+DETAIL = 3.0  # standard deviation in pixels at `HEIGHT` rows, below which a picture is detail
+FAINT = 4.0  # of 255 levels: weaker detail is noise
+SAME_PLACE = 0.3  # correlation of detail; other places have 0.0, a camera that is shaken 0.4
 
 
 def shot_starts(frames: UInt8[Tensor, "F H W 3"]) -> list[int]:
@@ -21,9 +25,10 @@ def shot_starts(frames: UInt8[Tensor, "F H W 3"]) -> list[int]:
 
     PySceneDetect's adaptive detector: a change of hue, saturation and brightness that is three
     times that of the frames around, so that neither a fast pan nor a blurred dancer is a cut.
-    A flash, after which all is as before, is none either. Dissolves, cuts that change little of
-    the picture, and one of two cuts within two frames may not be found; of fewer frames than `FEW`
-    nothing is said.
+    A flash, after which all is as before, is none either, and no change of light is: a lamp that
+    is switched on, a sun that someone steps in front of. Dissolves, cuts that leave the camera in
+    its place or change little of the picture, and one of two cuts within two frames may not be
+    found; of fewer frames than `FEW` nothing is said.
     """
     if len(frames) < FEW:
         return [0]
@@ -35,7 +40,22 @@ def shot_starts(frames: UInt8[Tensor, "F H W 3"]) -> list[int]:
     steady = [index for index in range(len(small)) if index not in inside]
     apart = {steady[index] for index in _cuts(small[steady])}
     flashes = {edge for a, b in brief if b not in apart for edge in (a, b)}
-    return [0, *(index for index in cuts if index not in flashes)]
+    elsewhere = (index for index in cuts if not _same_place(small[index - 1], small[index]))
+    return [0, *(index for index in elsewhere if index not in flashes)]
+
+
+def _same_place(before: UInt8[np.ndarray, "H W 3"], after: UInt8[np.ndarray, "H W 3"]) -> bool:
+    """Whether two pictures have the same detail, whatever the light."""
+    return float((_detail(before) * _detail(after)).sum()) >= SAME_PLACE
+
+
+def _detail(picture: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
+    """Brightness against that around, by its contrast there; of norm 1."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    detail = grey - cv2.GaussianBlur(grey, (0, 0), DETAIL)
+    contrast = np.sqrt(cv2.GaussianBlur(detail**2, (0, 0), 2 * DETAIL) + FAINT**2)
+    even = detail / contrast
+    return even / max(float(np.linalg.norm(even)), 1e-6)
 
 
 def _cuts(pictures: UInt8[np.ndarray, "F H W 3"]) -> list[int]:

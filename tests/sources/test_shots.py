@@ -66,10 +66,37 @@ def drift() -> list[np.ndarray]:
     return [(f * (1 - 0.02 * i)).astype(np.uint8) for i, f in enumerate(shot(0, 30))]
 
 
+def lamp() -> list[np.ndarray]:
+    """Someone switches it on, and it stays on."""
+    frames = shot(0, 30)
+    return [*(f // 3 for f in frames[:15]), *frames[15:]]
+
+
+def sun() -> list[np.ndarray]:
+    """It shines into the lens from one side, until someone is in front of it."""
+    veil = np.linspace(140, 0, WIDTH)[:, None] * (1.0, 0.8, 0.5)
+    frames = shot(0, 30)
+    veiled = [(0.5 * f + veil).clip(0, 255).astype(np.uint8) for f in frames[:15]]
+    return [*veiled, *frames[15:]]
+
+
+def dusk() -> list[np.ndarray]:
+    """Before a bare wall, where most of what is told is noise, a lamp goes on."""
+    random, wall = np.random.default_rng(0), np.full((HEIGHT, WIDTH, 3), 60, np.float32)
+    wall[20:64, 120:170] = random.uniform(20, 110, (44, 50, 1))
+    lit = [wall] * 15 + [1.8 * wall] * 15
+    return [
+        (f + random.normal(0, 1.5, (HEIGHT, WIDTH, 1))).clip(0, 255).astype(np.uint8) for f in lit
+    ]
+
+
 @pytest.mark.parametrize(
     "frames",
-    [shot(0, 30), shot(0, 30, step=25), pan(30, 20), pan(30, 30), flash(), drift(), shot(0, 2)],
-    ids=["walk", "run", "pan", "whip", "flash", "exposure", "two_frames"],
+    [
+        *(shot(0, 30), shot(0, 30, step=25), pan(30, 20), pan(30, 30)),
+        *(flash(), lamp(), sun(), dusk(), drift(), shot(0, 2)),
+    ],
+    ids=["walk", "run", "pan", "whip", "flash", "lamp", "sun", "dusk", "exposure", "two_frames"],
 )
 def test_one_recording_is_one_shot(frames: list[np.ndarray]):
     assert starts(frames) == [0]
