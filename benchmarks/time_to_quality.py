@@ -9,7 +9,7 @@ hours, is run once by `--reference`, which goes on where it was stopped, and sta
 `--references FILE`, which a record is compared with. Seconds are of fitting alone, by the clock and
 of the processor; a record wants an idle machine, and says of each row how busy it was. Rows that a
 record has of other sizes, methods, schedules and seeds stay in it. `--beside` adds what a second
-fit on the same cores costs.
+fit on the same cores costs. Fits run on a GPU where there is one (`DEBLUR_AVATAR_DEVICE`).
 """
 
 import argparse
@@ -60,7 +60,6 @@ MOMENTS = 12  # at which avatars are kept
 BESIDE = ScheduleParams(
     warmup=40, trajectory=100, fusion=200, gaussians=6000, image_height=192, levels=()
 )
-CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def fitted(
     with TemporaryDirectory() if place is None else nullcontext(place) as there:
         key = run_key([seed, sorted(moments)], [recipe, params, schedule], inputs)
         generator = torch.Generator().manual_seed(seed)
-        common = {"device": CPU, "generator": generator, "report": watch}
+        common = {"device": run.chosen_device(), "generator": generator, "report": watch}
 
         def folder(stage: str) -> RunFolder:
             path = Path(there) / stage
@@ -154,7 +153,7 @@ def fitted(
 def psnr_seen(observations: Observations, reference: Reference, kept: Kept) -> float:
     """PSNR of novel views over the surface that the training camera saw, dB."""
     views = [view for view in truth_views(observations, reference) if not view.novel_pose]
-    model = avatar_from_artifact(kept.avatar, observations.body, CPU)
+    model = avatar_from_artifact(kept.avatar, observations.body, run.chosen_device())
     scores = mean_scores(
         [
             compare(

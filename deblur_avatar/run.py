@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,7 +43,11 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Context:
-    """Where a stage runs and what it draws from."""
+    """Where a stage runs and what it draws from.
+
+    The generator is the CPU's on any device: what is drawn is drawn there and taken to the device,
+    so that a fit draws the same numbers wherever it runs.
+    """
 
     device: torch.device
     generator: torch.Generator
@@ -69,10 +74,10 @@ def command(main: Callable[..., None]) -> None:
 def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     """Log a stage's start and end, seed it, choose its device and number of threads.
 
-    `DEBLUR_AVATAR_DEVICE` names the device; without it a GPU is used where there is one. Each stage
-    and item derives its own seed, so adding a stage does not reshuffle the others. Torch computes
-    with one thread, since its sums depend on how many there are; the sums of native kernels do not,
-    and these take `kernel_threads`.
+    Each stage and item derives its own seed, so adding a stage does not reshuffle the others. Torch
+    computes with one thread, since its sums depend on how many there are; the sums of native
+    kernels do not, and these take `kernel_threads`. On a GPU, sums come in any order, which no
+    setting of torch's changes for the rasterizer there; two runs differ by rounding.
 
     Raises:
         ConfigError: if there is no such device here, or the number of threads is none.
@@ -80,16 +85,13 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     kernel_threads()  # says so early if they are asked for wrongly
     torch.set_num_threads(1)
     derived = derive_seed(seed, name, item)
-    default = "cuda" if torch.cuda.is_available() else "cpu"
-    try:
-        device = torch.device(os.environ.get("DEBLUR_AVATAR_DEVICE", default))
-        generator = torch.Generator(device=device).manual_seed(derived)
-    except RuntimeError as error:
-        raise ConfigError(f"DEBLUR_AVATAR_DEVICE: {error}") from error
+    device = chosen_device()
+    generator = torch.Generator().manual_seed(derived)
     random.seed(derived)
     np.random.seed(derived)  # noqa: NPY002, third parties draw from it
     torch.manual_seed(derived)
-    torch.use_deterministic_algorithms(True, warn_only=device.type != "cpu")
+    torch.use_deterministic_algorithms(device.type == "cpu")
+    torch.backends.cudnn.allow_tf32 = False  # float32 has all its digits on a GPU, too
     # A debugging aid that costs time.
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
     _keep_freed_memory()
@@ -98,6 +100,28 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     yield Context(device=device, generator=generator, seed=derived)
     took = time.perf_counter() - begin
     logger.info("%s %s: done in %.1f s, %.0f MB", name, item, took, peak_memory_mb())
+
+
+def chosen_device() -> torch.device:
+    """Where to compute: `DEBLUR_AVATAR_DEVICE`, or a GPU where there is one and gsplat, or the CPU.
+
+    Raises:
+        ConfigError: if there is no such device here.
+    """
+    named = os.environ.get("DEBLUR_AVATAR_DEVICE")
+    if named is None:
+        if not torch.cuda.is_available():
+            return torch.device("cpu")
+        if find_spec("gsplat") is None:  # the rasterizer for GPUs (rendering/cuda.py)
+            logger.info("there is a GPU, but no gsplat: pip install 'deblur-avatar[cuda]' uses it")
+            return torch.device("cpu")
+        named = "cuda"
+    try:
+        device = torch.device(named)
+        torch.Generator(device)  # refused where there is no such device
+    except RuntimeError as error:
+        raise ConfigError(f"DEBLUR_AVATAR_DEVICE: {error}") from error
+    return device
 
 
 def kernel_threads() -> int:

@@ -65,10 +65,10 @@ def bodies_looked_at_once() -> Iterator[None]:
     every fit of that body, and is never changed.
     """
     look = plain_avatar.closure_views
-    known: dict[tuple[bytes, ...], Any] = {}
+    known: dict[tuple[Any, ...], Any] = {}
 
     def remembered(vertices: torch.Tensor, faces: torch.Tensor) -> Any:
-        asked = tuple(part.cpu().numpy().tobytes() for part in (vertices, faces))
+        asked = vertices.device, *(part.cpu().numpy().tobytes() for part in (vertices, faces))
         if asked not in known:
             known[asked] = look(vertices, faces)
         return known[asked]

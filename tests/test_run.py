@@ -63,6 +63,27 @@ def test_a_stage_runs_where_the_environment_says(monkeypatch):
         assert context.seed == run.derive_seed(0, "warmup", "studio")
 
 
+@pytest.mark.parametrize(("gpu", "gsplat", "device"), [
+    (False, True, "cpu"), (True, False, "cpu"), (True, True, "cuda"),
+])  # fmt: skip
+def test_a_gpu_is_used_where_its_rasterizer_is_installed(gpu, gsplat, device, monkeypatch, caplog):
+    monkeypatch.delenv("DEBLUR_AVATAR_DEVICE", raising=False)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: gpu)
+    monkeypatch.setattr(run, "find_spec", lambda name: "gsplat" if gsplat else None)
+    monkeypatch.setattr(torch, "Generator", lambda device: None)
+    with caplog.at_level("INFO"):
+        assert run.chosen_device().type == device
+    assert ("pip install 'deblur-avatar[cuda]'" in caplog.text) == (gpu and not gsplat)
+
+
+def test_a_gpu_that_is_not_there_is_a_mistake_of_the_caller(monkeypatch):
+    if torch.cuda.is_available():
+        pytest.skip("there is one here")
+    monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cuda")
+    with pytest.raises(ConfigError, match="DEBLUR_AVATAR_DEVICE: "):
+        run.chosen_device()
+
+
 def test_a_device_that_does_not_exist_is_a_mistake_of_the_caller(monkeypatch):
     monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "graphics")
     with (

@@ -130,7 +130,7 @@ def fit_method(
     method, schedule, device = setup.method, setup.schedule, setup.device
     drawn = run.derive_seed(setup.seed + draw, "stability")
     torch.manual_seed(drawn)  # third parties draw from it
-    generator = torch.Generator(device=device).manual_seed(drawn)
+    generator = torch.Generator().manual_seed(drawn)
     begin, worked = time.perf_counter(), time.process_time()
     avatar, checkpoint, _ = warm_up(
         observations, recipe, schedule, device=device, generator=generator, report=_silence

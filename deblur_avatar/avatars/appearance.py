@@ -65,8 +65,8 @@ def random_view_rotation(
 
     Source: 3DGS-Avatar: angles about x and z are normal, clamped to +-90 degrees, about y uniform.
     """
-    draw = torch.randn(3, generator=generator, device=like.device, dtype=like.dtype)
-    turn = torch.rand(1, generator=generator, device=like.device, dtype=like.dtype)
+    draw = torch.randn(3, generator=generator, dtype=like.dtype).to(like)
+    turn = torch.rand(1, generator=generator, dtype=like.dtype).to(like)
     angles = torch.deg2rad((draw * degrees).clamp(-MAX_VIEW_NOISE, MAX_VIEW_NOISE))
     about_y = torch.deg2rad(turn * degrees)
     still = like.new_zeros(1)

@@ -131,8 +131,8 @@ class ArahSmallAvatar(VolumeAvatar):
         latent = self.latents(frame)
         seen = torch.cat([torch.eye(3).to(rotations)[None], rotations[1:]])
         if step is not None and step.fitting.pose_noise > 0:
-            chance = torch.rand(1, generator=step.generator, device=seen.device)
-            draw = torch.randn(seen.shape, generator=step.generator, device=seen.device)
+            chance = torch.rand(1, generator=step.generator).to(seen)
+            draw = torch.randn(seen.shape, generator=step.generator).to(seen)
             seen = seen + draw * step.fitting.pose_noise * (chance < POSE_NOISE_SHARE)
         modulation = self.sdf.modulated(torch.cat([self.pose_encoder(seen), latent]))
         return ArahState(

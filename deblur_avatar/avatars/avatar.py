@@ -111,6 +111,7 @@ class AvatarModel(nn.Module, ABC):
         self.register_buffer("betas", betas, persistent=False)
         self.register_buffer("canonical_vertices", vertices, persistent=False)
         self.register_buffer("rest_from_canonical", invert_rigid(canonical), persistent=False)
+        self._copies: tuple[Tensor, Tensor] | None = None
 
     @classmethod
     @abstractmethod
@@ -278,14 +279,28 @@ class AvatarModel(nn.Module, ABC):
     def invalidate_neighbours(self) -> None:
         """Forget what was looked up in space, because the avatar has moved."""
 
+    @property
+    def _on_the_cpu(self) -> tuple[Float[Tensor, " B"], Float[Tensor, "J 4 4"]]:
+        """Shape and canonical pose, copied once where the avatar is on another device."""
+        own = self.betas, self.rest_from_canonical
+        if self.betas.device.type == "cpu":
+            return own
+        if self._copies is None:
+            self._copies = own[0].cpu(), own[1].cpu()
+        return self._copies
+
     def transforms(
         self,
         rotations: Float[Tensor, "*batch J 3 3"],
         transl: Float[Tensor, "*batch 3"],
     ) -> Float[Tensor, "*batch J 4 4"]:
-        """Canonical-to-posed transforms of all joints."""
-        posed = transforms_from_rotations(self.body, self.betas, rotations, transl)
-        return posed @ self.rest_from_canonical
+        """Canonical-to-posed transforms of all joints, on the avatar's device.
+
+        Joints are chained on the CPU: some hundred small numbers, for which a GPU is slow to ask.
+        """
+        betas, rest_from_canonical = self._on_the_cpu
+        posed = transforms_from_rotations(self.body, betas, rotations.cpu(), transl.cpu())
+        return (posed @ rest_from_canonical).to(self.betas.device)
 
 
 def canonical_vertices(body: Body, betas: Float[Tensor, " B"]) -> Float[Tensor, "V 3"]:

@@ -34,8 +34,8 @@ class KnownDistances:
 
     def some(self, count: int, generator: torch.Generator) -> "KnownDistances":
         """Points drawn from these, with replacement."""
-        device = self.points.device
-        chosen = torch.randint(len(self.points), (count,), generator=generator, device=device)
+        chosen = torch.randint(len(self.points), (count,), generator=generator)
+        chosen = chosen.to(self.points.device)
         return KnownDistances(self.points[chosen], self.distances[chosen])
 
 
@@ -43,9 +43,9 @@ def distances_all_over(
     vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"], count: int
 ) -> KnownDistances:
     """Distances at points spread evenly in the box round a body; the same each time."""
-    generator = torch.Generator(vertices.device).manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
     low, high = vertices.amin(0) - MARGIN, vertices.amax(0) + MARGIN
-    draws = torch.rand(count, 3, generator=generator, dtype=vertices.dtype, device=vertices.device)
+    draws = torch.rand(count, 3, generator=generator, dtype=vertices.dtype).to(vertices)
     points = low + (high - low) * draws
     return KnownDistances(points, signed_distances(points, vertices, faces))
 
@@ -58,7 +58,7 @@ def distances_near(
 ) -> KnownDistances:
     """Distances at points off the surface, by `NEAR_STD` along each axis."""
     points, _, _ = sample_surface(vertices, faces, count, generator)
-    apart = torch.randn(points.shape, generator=generator, dtype=points.dtype, device=points.device)
+    apart = torch.randn(points.shape, generator=generator, dtype=points.dtype).to(points)
     points = points + NEAR_STD * apart
     return KnownDistances(points, signed_distances(points, vertices, faces))
 
@@ -67,7 +67,7 @@ def signed_distances(
     points: Float[Tensor, "P 3"], vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"]
 ) -> Float[Tensor, " P"]:
     """Distances from a mesh, to some millimetres: from the nearest of many points on it."""
-    generator = torch.Generator(vertices.device).manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
     tree = cKDTree(outer_surface(vertices, faces, SURFACE_SAMPLES, generator).cpu().numpy())
     distance = torch.as_tensor(tree.query(points.detach().cpu().numpy())[0]).to(points)
     return torch.where(inside(points, vertices, faces), -distance, distance)

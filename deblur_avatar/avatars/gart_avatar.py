@@ -219,7 +219,7 @@ def discs_on_surface(
     means, chosen, corners = sample_surface(vertices, faces, count, generator, areas)
     normals = (corners[..., None] * vertex_normals(vertices, faces)[faces[chosen]]).sum(1)
     z = torch.nn.functional.normalize(normals, dim=-1)
-    draws = torch.randn(z.shape, generator=generator, dtype=z.dtype, device=z.device)
+    draws = torch.randn(z.shape, generator=generator, dtype=z.dtype).to(z)
     x = torch.nn.functional.normalize(torch.linalg.cross(z, draws), dim=-1)
     quats = matrix_to_quat(torch.stack([x, torch.linalg.cross(z, x), z], dim=-1))
     radius = float((areas.sum() / 2 / (math.pi * count)).sqrt())

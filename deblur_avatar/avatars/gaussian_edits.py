@@ -36,7 +36,7 @@ def copied(gaussians: Gaussians, chosen: Tensor) -> Part:
 def drawn_within(part: Part, generator: torch.Generator) -> Part:
     """The same Gaussians, each at a place that is drawn from its own density."""
     scales = part["log_scales"].exp()
-    offset = torch.randn(scales.shape, generator=generator, device=scales.device) * scales
+    offset = torch.randn(scales.shape, generator=generator).to(scales) * scales
     turned = (quat_to_matrix(part["quats"]) @ offset[..., None])[..., 0]
     return part | {"means": part["means"] + turned}
 

@@ -89,8 +89,9 @@ def sample_surface(
         areas: the triangles' `face_areas`, where the caller has them.
     """
     areas = face_areas(vertices, faces) if areas is None else areas
-    chosen = torch.multinomial(areas, count, replacement=True, generator=generator)
-    uv = torch.rand(count, 2, generator=generator, dtype=vertices.dtype, device=vertices.device)
+    chosen = torch.multinomial(areas.cpu(), count, replacement=True, generator=generator)
+    chosen = chosen.to(areas.device)
+    uv = torch.rand(count, 2, generator=generator, dtype=vertices.dtype).to(vertices)
     root = uv[:, :1].sqrt()
     weights = torch.cat([1 - root, root * (1 - uv[:, 1:]), root * uv[:, 1:]], dim=1)
     return (weights[..., None] * vertices[faces[chosen]]).sum(1), chosen, weights

@@ -76,12 +76,11 @@ class MotionWeightVolume(nn.Module):
         self.register_buffer("low", low, persistent=False)
         self.register_buffer("high", high, persistent=False)
         self.register_buffer("log_prior", prior.log(), persistent=False)
-        device = None if generator is None else generator.device
-        self.code = nn.Parameter(torch.randn(params.code, generator=generator, device=device))
-        self.dense = nn.Linear(params.code, params.dense, device=device)
+        self.code = nn.Parameter(torch.randn(params.code, generator=generator))
+        self.dense = nn.Linear(params.code, params.dense)
         sizes = pairwise([params.dense, *params.channels, len(joints) + 1])
         self.doublings = nn.ModuleList(
-            nn.ConvTranspose3d(*size, KERNEL, STRIDE, PADDING, device=device) for size in sizes
+            nn.ConvTranspose3d(*size, KERNEL, STRIDE, PADDING) for size in sizes
         )
         gain = nn.init.calculate_gain("leaky_relu", SLOPE)
         for layer in (self.dense, *self.doublings):

@@ -142,8 +142,8 @@ class NetworksAvatar(SplatAvatar):
         conditions = torch.cat([still, rotations[1:]])
         std = 0.0 if step is None else step.fitting.nonrigid.pose_noise
         if step is not None and std > 0:
-            chance = torch.rand(1, generator=step.generator, device=rotations.device)
-            draw = torch.randn(rotations.shape, generator=step.generator, device=rotations.device)
+            chance = torch.rand(1, generator=step.generator).to(rotations)
+            draw = torch.randn(rotations.shape, generator=step.generator).to(rotations)
             conditions = conditions + draw * std * (chance < POSE_NOISE_SHARE)
         return self.pose_encoder(conditions)
 

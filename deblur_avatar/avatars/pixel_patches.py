@@ -72,8 +72,9 @@ def draw_patches(
     """
     size = min(size, *middles.shape)
     corners = _corners(middles, size)
-    chosen = torch.multinomial(corners.flatten(), patches, replacement=True, generator=generator)
-    drawn = torch.bincount(chosen, minlength=corners.numel()).to(corners).reshape(corners.shape)
+    shares = corners.flatten().cpu()
+    chosen = torch.multinomial(shares, patches, replacement=True, generator=generator)
+    drawn = torch.bincount(chosen, minlength=len(shares)).to(corners).reshape(corners.shape)
     counts, expected = _covered(drawn, size).round(), patches * _covered(corners, size)
     rows, columns = torch.nonzero(counts, as_tuple=True)
     usual = (middles * expected).sum()  # of the pixels in patches' middles

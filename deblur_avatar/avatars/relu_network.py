@@ -48,9 +48,8 @@ class ReluNetwork(nn.Module):
         if re_entry is not None and re_entry < len(sizes):
             before, after = sizes[re_entry]
             sizes[re_entry] = before + inputs, after
-        device = None if generator is None else generator.device
-        self.layers = nn.ModuleList(nn.Linear(*size, device=device) for size in sizes)
-        self.last = nn.Linear(hidden[-1], outputs, device=device)
+        self.layers = nn.ModuleList(nn.Linear(*size) for size in sizes)
+        self.last = nn.Linear(hidden[-1], outputs)
         for layer in self._linear():
             nn.init.xavier_uniform_(layer.weight, GAIN, generator=generator)
             nn.init.zeros_(layer.bias)

@@ -40,13 +40,15 @@ def render_avatar(
     groups = [range(len(poses.transl))] if average else [[i] for i in range(len(poses.transl))]
     rendered = []
     with torch.no_grad():
-        turned = axis_angle_to_matrix(poses.axis_angle).to(device)
+        turned = axis_angle_to_matrix(poses.axis_angle)
         for group in groups:
-            index = torch.tensor(list(group), device=device)
+            index = torch.tensor(list(group))
             rotations = turned[index]
-            transforms = model.transforms(rotations, poses.transl.to(device)[index])
+            transforms = model.transforms(rotations, poses.transl[index])
             middle = len(group) // 2
-            state = model.condition(rotations[middle], frame, transforms[middle], camera.viewmat)
+            state = model.condition(
+                rotations[middle].to(device), frame, transforms[middle], camera.viewmat
+            )
             rendered.append(
                 model.render(state, transforms, camera, average=average, background=background)
             )

@@ -52,18 +52,15 @@ class SdfField(nn.Module):
         self.register_buffer("centre", (low + high) / 2, persistent=False)
         self.register_buffer("half_size", half, persistent=False)
         self._frequency, self._hidden = frequency, tuple(hidden)
-        device = None if generator is None else generator.device
-        self.layers = nn.ModuleList(
-            nn.Linear(*size, device=device) for size in pairwise([3, *hidden, 1])
-        )
+        self.layers = nn.ModuleList(nn.Linear(*size) for size in pairwise([3, *hidden, 1]))
         for index, layer in enumerate(self._linear()):
             inputs = layer.in_features
             bound = 1 / inputs if index == 0 else (6 / inputs) ** 0.5 / frequency
             nn.init.uniform_(layer.weight, -bound, bound, generator=generator)
             nn.init.uniform_(layer.bias, -(inputs**-0.5), inputs**-0.5, generator=generator)
         nn.init.zeros_(self._linear()[-1].bias)
-        self.seen = nn.Linear(condition, hidden[-1], device=device)
-        self.modulation = nn.Linear(hidden[-1], 2 * sum(hidden), device=device)
+        self.seen = nn.Linear(condition, hidden[-1])
+        self.modulation = nn.Linear(hidden[-1], 2 * sum(hidden))
         nn.init.xavier_uniform_(self.seen.weight, generator=generator)
         for silent in (self.seen.bias, self.modulation.weight, self.modulation.bias):
             nn.init.zeros_(silent)

@@ -40,7 +40,7 @@ exit codes:
   other codes are DVC's: a stage failed, and what it said stands above
 
 environment:
-  DEBLUR_AVATAR_DEVICE          cpu, cuda; default: a GPU where there is one
+  DEBLUR_AVATAR_DEVICE          cpu, cuda; default: a GPU where there is one and gsplat
   DEBLUR_AVATAR_THREADS         of native kernels; results are the same for any number
   DEBLUR_AVATAR_CACHE           where compiled kernels and baked bodies are kept, for all folders;
                                 default: $XDG_CACHE_HOME or ~/.cache, there deblur_avatar

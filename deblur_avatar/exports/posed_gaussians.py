@@ -51,10 +51,10 @@ def posed_gaussians(
     model = _splats(model)
     device = model.betas.device
     with torch.no_grad():
-        rotations = axis_angle_to_matrix(pose.axis_angle).to(device)
-        transforms = model.transforms(rotations, pose.transl.to(device))
+        rotations = axis_angle_to_matrix(pose.axis_angle)
+        transforms = model.transforms(rotations, pose.transl)
         frame = model.frames - 1 if frame < 0 else frame
-        state = model.condition(rotations[0], frame, transforms[0], viewmat.to(device))
+        state = model.condition(rotations[0].to(device), frame, transforms[0], viewmat.to(device))
         means, covars = state.posed(transforms)
         colors = state.colors.clamp(0, 1)
         quats, scales = axes_of(whole_matrices(covars[0]))

@@ -79,7 +79,7 @@ class MadMotion(PerFrameTrajectory):
     ) -> None:
         super().__init__(poses, u, start_noise, generator)
         given = poses.axis_angle
-        noise = torch.randn(given.shape, generator=generator, device=given.device) * start_noise
+        noise = torch.randn(given.shape, generator=generator) * start_noise
         noise[:, 0] = 0  # as of a pair
         # On a line, so that the curve starts half the noise ahead and ends half of it behind.
         along = torch.tensor([1.5, 0.5, -0.5, -1.5]).to(given)[:, None, None]

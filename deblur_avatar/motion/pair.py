@@ -34,7 +34,7 @@ class PairMotion(PerFrameTrajectory):
     ) -> None:
         super().__init__(poses, u, start_noise, generator)
         given = poses.axis_angle
-        noise = torch.randn(given.shape, generator=generator, device=given.device)
+        noise = torch.randn(given.shape, generator=generator)
         noise = noise * start_noise / 2
         noise[:, 0] = 0  # the root parts by itself once the limbs have
         self.start = nn.Parameter(given + noise)

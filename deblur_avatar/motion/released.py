@@ -39,7 +39,7 @@ class ReleasedMotion(PairMotion):
         super().__init__(poses, u, 0.0, generator)
         self.register_buffer("given", poses.axis_angle)
         self.register_buffer("given_transl", poses.transl.clone())
-        noise = torch.randn(self.start.shape, generator=generator, device=self.start.device)
+        noise = torch.randn(self.start.shape, generator=generator)
         noise[:, 0] = 0
         with torch.no_grad():
             self.start.add_(start_noise * noise)

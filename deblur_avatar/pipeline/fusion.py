@@ -62,7 +62,7 @@ def fuse(
         The avatar, its motion, and what it cost.
     """
     model = avatar_from_artifact(avatar, observations.body, device)
-    trajectory = trajectory_from_artifact(motion).to(device)
+    trajectory = trajectory_from_artifact(motion)
     network = new_network(params, model, len(observations.frames))
     network = None if network is None else network.to(device)
     fitted = FitParams(

@@ -55,7 +55,7 @@ def fit_trajectory(
         ConfigError: if the clip lacks what this kind of trajectory needs to know.
     """
     model = avatar_from_artifact(avatar, observations.body, device)
-    trajectory = new_trajectory(observations, params.motion, generator).to(device)
+    trajectory = new_trajectory(observations, params.motion, generator)
     trajectory.choose_samples(observations)
     fitted = FitParams(recipe=recipe, motion=params.motion, schedule=schedule)
     fit = AvatarFit(model, trajectory, observations, fitted, device, generator)

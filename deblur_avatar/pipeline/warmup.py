@@ -39,7 +39,7 @@ def warm_up(
         recipe.model, observations.body, betas, len(observations.frames),
         schedule.gaussians_of(schedule.level_at(1)), observations.averaging_space, generator,
     ).to(device)  # fmt: skip
-    trajectory = FixedMotion(observations.poses).to(device)
+    trajectory = FixedMotion(observations.poses)
     params = FitParams(recipe=recipe, motion=FixedParams(kind="fixed"), schedule=schedule)
     fit = AvatarFit(avatar, trajectory, observations, params, device, generator)
     resumes = folder is not None and folder.progress is not None

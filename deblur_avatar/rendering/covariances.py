@@ -3,12 +3,15 @@
 The six are the upper triangle in reading order: xx, xy, xz, yy, yz, zz.
 """
 
+from functools import cache
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 # Where in the six numbers each entry of the 3x3 matrix is found, in reading order.
 _ENTRIES = (0, 1, 2, 1, 3, 4, 2, 4, 5)
+_UPPER = (0, 1, 2, 4, 5, 8)  # and where in the matrix each of the six
 
 
 def covariances(
@@ -42,9 +45,18 @@ def whole_matrices(
     """Write six numbers out as a symmetric matrix; whole matrices pass through."""
     if covars.shape[-1] == 3:
         return covars
-    return covars[..., _ENTRIES].unflatten(-1, (3, 3))
+    picked = covars @ _picking(_ENTRIES, 6, covars.dtype, covars.device)
+    return picked.unflatten(-1, (3, 3))
 
 
 def upper_triangles(covars: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 6"]:
     """Keep the six numbers that determine a symmetric matrix."""
-    return covars.flatten(-2)[..., (0, 1, 2, 4, 5, 8)]
+    return covars.flatten(-2) @ _picking(_UPPER, 9, covars.dtype, covars.device)
+
+
+@cache
+def _picking(
+    entries: tuple[int, ...], count: int, dtype: torch.dtype, device: torch.device
+) -> Float[Tensor, "count E"]:
+    """Ones that pick entries: an index's gradient takes a GPU much longer than a product's."""
+    return torch.eye(count, dtype=dtype, device=device)[:, list(entries)]

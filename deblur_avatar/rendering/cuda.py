@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.rendering.conventions import NEAR_PLANE
 from deblur_avatar.rendering.covariances import upper_triangles, whole_matrices
 from deblur_avatar.rendering.inputs import refuse_not_finite
@@ -43,7 +44,7 @@ def rasterize(
 
     Raises:
         ValueError: the tensors are not float32 on a GPU, or a value is NaN or infinite.
-        ImportError: gsplat is not installed.
+        ConfigError: gsplat is not installed, or was not compiled.
     """
     _check_place(means)
     refuse_not_finite(
@@ -112,9 +113,15 @@ def _watch(means2d: Float[Tensor, "B 1 N 2"], radii: Tensor) -> ScreenStatistics
 def _gsplat_rasterization() -> "Callable[..., Any]":
     try:
         from gsplat import rasterization
+        from gsplat.cuda._backend import _C
     except ImportError as error:
-        raise ImportError(
-            "tensors on a GPU are rasterized by gsplat: pip install 'deblur-avatar[cuda]',"
-            " or choose backend='reference'"
+        raise ConfigError(
+            "tensors on a GPU are rasterized by gsplat: pip install 'deblur-avatar[cuda]', or set"
+            " DEBLUR_AVATAR_DEVICE=cpu"
         ) from error
+    if _C is None:
+        raise ConfigError(
+            "gsplat compiles its kernels with nvcc, which it did not find: install CUDA's compiler"
+            " and set CUDA_HOME, or set DEBLUR_AVATAR_DEVICE=cpu"
+        )
     return rasterization

@@ -3,6 +3,8 @@
 The annotations here are loose on purpose: this is where a wrong shape gets its explanation.
 """
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -76,10 +78,11 @@ def check_camera(viewmat: Tensor, K: Tensor) -> None:
         ValueError: not finite, the last rows are not those of such matrices, a focal length is not
             positive, or the pixels are skewed.
     """
-    focal_x, skew, _, below, focal_y, _, *k_last = K.flatten().tolist()
-    view_last = viewmat[3].tolist()
-    if not bool(torch.isfinite(viewmat).all() & torch.isfinite(K).all()):
+    # One transfer of both: on a GPU each waits for all that was asked of it before.
+    numbers = torch.cat([viewmat.flatten(), K.flatten()]).tolist()
+    if not all(math.isfinite(number) for number in numbers):
         raise ValueError("viewmat and K must be finite")
+    view_last, (focal_x, skew, _, below, focal_y, _, *k_last) = numbers[12:16], numbers[16:]
     if view_last != [0, 0, 0, 1]:
         raise ValueError(f"the last row of viewmat must be [0, 0, 0, 1], got {view_last}")
     if k_last != [0, 0, 1] or skew != 0 or below != 0 or focal_x <= 0 or focal_y <= 0:
@@ -95,8 +98,10 @@ def refuse_not_finite(**tensors: Tensor | None) -> None:
     Raises:
         ValueError: naming the first tensor that holds one.
     """
-    for name, tensor in tensors.items():
-        if tensor is not None and not bool(torch.isfinite(tensor).all()):
+    given = {name: tensor for name, tensor in tensors.items() if tensor is not None}
+    finite = torch.stack([torch.isfinite(tensor).all() for tensor in given.values()])
+    for name, fine in zip(given, finite.tolist(), strict=True):  # one transfer of all
+        if not fine:
             raise ValueError(not_finite(name))
 
 

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.utils.weak import WeakTensorKeyDictionary
 
-from deblur_avatar.rendering.covariance_factors import covariances_reference
+from deblur_avatar.rendering.covariances import upper_triangles
 from deblur_avatar.rendering.native_build import (
     library_or_none,
     pointers,
@@ -61,11 +61,12 @@ def pose_gaussians_reference(
     transforms: Float[Tensor, "B J 4 4"],
 ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 6"]]:
     """The same in plain torch, on any device and in any precision: the kernel's slow twin."""
-    rotation = (lbs_weights @ transforms[:, :, :3, :3].flatten(2)).unflatten(-1, (3, 3))
-    shift = lbs_weights @ transforms[:, :, :3, 3]
-    posed = (rotation * means[:, None, :]).sum(-1) + shift
-    turned = (rotation[..., :, :, None] * covariance_factors[:, None, :, :]).sum(-2)
-    return posed, covariances_reference(turned)
+    # One product for all poses and few calls, since each is one that a GPU has to be asked for.
+    rows = transforms[:, :, :3].permute(1, 0, 2, 3)
+    blended = (lbs_weights @ rows.flatten(1)).unflatten(1, rows.shape[1:]).transpose(0, 1)
+    posed = (blended[..., :3] @ means[:, :, None])[..., 0] + blended[..., 3]
+    turned = blended[..., :3] @ covariance_factors
+    return posed, upper_triangles(turned @ turned.mT)
 
 
 def _check_shapes(

@@ -75,9 +75,7 @@ def sample_depths(
     starts = torch.arange(count, dtype=near.dtype, device=near.device)
     within = starts.new_tensor(0.5)
     if generator is not None:
-        within = torch.rand(
-            len(near), count, generator=generator, dtype=near.dtype, device=near.device
-        )
+        within = torch.rand(len(near), count, generator=generator, dtype=near.dtype).to(near)
     return near[:, None] + (far - near)[:, None] * ((starts + within) / count)
 
 

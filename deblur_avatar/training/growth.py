@@ -35,7 +35,7 @@ def multiply_gaussians(
         children = torch.bincount(parent, minlength=own)[parent]
         split = {name: value.data[parent] for name, value in gaussians.named_parameters()}
         scales = split["log_scales"].exp()
-        draws = torch.randn(scales.shape, generator=generator, device=scales.device)
+        draws = torch.randn(scales.shape, generator=generator).to(scales)
         offset = (quat_to_matrix(split["quats"]) @ (SPREAD * scales * draws)[..., None])[..., 0]
         several = (children > 1)[:, None]
         split["means"] = torch.where(several, split["means"] + offset, split["means"])

@@ -116,17 +116,19 @@ class Optimizers:
 
     def _odd_gradient(self) -> str | None:
         """The name of an unknown whose gradient is not finite, or too large to be squared."""
-        named = [
-            (name, parameter.grad)
-            for optimizer in self.all().values()
-            for name, parameter in _named(optimizer)
-            if parameter.grad is not None
-        ]
-        lengths = torch.stack(torch._foreach_norm([grad for _, grad in named]))
+        grads: dict[torch.device, dict[str, Tensor]] = defaultdict(dict)
+        for optimizer in self.all().values():
+            for name, parameter in _named(optimizer):
+                if parameter.grad is not None:
+                    grads[parameter.device][name] = parameter.grad
+        names = [name for alike in grads.values() for name in alike]
+        lengths = torch.cat(
+            [torch.stack(torch._foreach_norm([*alike.values()])).cpu() for alike in grads.values()]
+        )
         if bool(torch.isfinite(lengths.sum())):
             return None
         odd = (~torch.isfinite(lengths)).nonzero()
-        return f"the gradient of {named[int(odd[0]) if len(odd) else int(lengths.argmax())][0]}"
+        return f"the gradient of {names[int(odd[0]) if len(odd) else int(lengths.argmax())]}"
 
     def _leave_out(self, iteration: int, odd: str) -> None:
         self.left_out += 1

@@ -7,7 +7,7 @@ frame is the area average of the full one, in the space in which light is averag
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
@@ -105,10 +105,10 @@ def target_of(observations: Observations, index: int, device: torch.device) -> T
     if observations.comparable is not None:
         comparable = observations.comparable[index].to(device).float() / 255
     weight = float(observations.weights[index])
-    return Target(image, matte, comparable, _box(matte), weight)
+    return Target(image, matte, comparable, _box(observations.mattes[index]), weight)
 
 
-def _box(matte: Float[Tensor, "H W"]) -> tuple[int, int, int, int]:
+def _box(matte: Float[Tensor, "H W"] | UInt8[Tensor, "H W"]) -> tuple[int, int, int, int]:
     """Where the person is, with a margin."""
     height, width = matte.shape
     columns, rows = (torch.nonzero(matte.amax(axis)).flatten() for axis in (0, 1))

@@ -52,6 +52,16 @@ NEIGHBOUR_REFRESH = 100
 class AvatarFit:
     """All unknowns, their optimizers, and one step of gradient descent.
 
+    Args:
+        avatar: on the device.
+        trajectory: on the CPU, on any device: some hundred small numbers, each of whose many
+            operations would wait for a GPU.
+        observations: what the camera saw.
+        params: how it is fitted.
+        device: of what is made of Gaussians or pixels.
+        generator: the CPU's, of all that is drawn.
+        fusion: the network that blends renders, on the device, where they are blended.
+
     Raises:
         ArtifactError: if no training frame shows a person.
     """
@@ -148,10 +158,11 @@ class AvatarFit:
         terms = self.objective.pictures(self._with_gain(index, compared, target), alpha, target)
         terms |= self.objective.regularisers(exposure.instants, step)
         terms |= self.objective.priors(index, instants)
-        total = torch.stack(list(terms.values())).sum()
+        total = torch.stack([term.to(self._device) for term in terms.values()]).sum()
         if self.optimizers.step(step, total):
             self._densify(step, exposure.instants)
-        return {name: float(value.detach()) for name, value in terms.items()}
+        values = torch.stack([term.detach().to(self._device) for term in terms.values()])
+        return dict(zip(terms, values.tolist(), strict=True))
 
     def cost(self, seconds: float) -> dict[str, Any]:
         """What a stage's measurements say of it, and which perceptual term it had."""
@@ -270,7 +281,7 @@ class AvatarFit:
         """Render what is compared of an exposure, conditioned for its middle."""
         camera = self._targets.camera
         # Asked for twice: the order of operations is that in which gradients are added.
-        centre = instants.centre_rotations
+        centre = instants.centre_rotations.to(self._device)
         rotations, transl = instants.centre_rotations[None], instants.centre_transl[None]
         if supervision.averages:  # the middle comes last
             rotations = torch.cat([instants.rotations, rotations])
@@ -333,9 +344,7 @@ class AvatarFit:
     def _next_frame(self) -> int:
         if not self._queue:
             frames = self._frames
-            order = torch.randperm(
-                len(frames), generator=self._generator, device=self._device
-            ).tolist()
+            order = torch.randperm(len(frames), generator=self._generator).tolist()
             self._queue = [frames[position] for position in order]
         return self._queue.pop()
 

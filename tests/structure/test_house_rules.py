@@ -81,3 +81,27 @@ def test_private_words_are_gone_from_code_and_parameters() -> None:
 
 def test_no_path_is_named_after_a_purpose() -> None:
     assert not [path for path in CODE if PATH_WORDS & set(path.with_suffix("").parts)]
+
+
+def test_what_is_drawn_is_drawn_on_the_cpu() -> None:
+    """On the device it would be other numbers, and none at all where the generator is the CPU's."""
+    calls = [
+        (path, node, {keyword.arg for keyword in node.keywords})
+        for path in CODE
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call)
+    ]
+    drawn = [
+        f"{_id(path)}:{node.lineno}"
+        for path, node, given in calls
+        if {"generator", "device"} <= given
+        and isinstance(node.func, ast.Attribute)
+        and ast.unparse(node.func).startswith("torch.")
+    ]
+    generators = [
+        f"{_id(path)}:{node.lineno}"
+        for path, node, _ in calls
+        if ast.unparse(node.func) == "torch.Generator" and (node.args or node.keywords)
+    ]
+    assert not drawn
+    assert generators == [where for where in generators if where.startswith("deblur_avatar/run.py")]

@@ -55,37 +55,68 @@ def recipe_of(avatar, tiny_parameters):
     return parse(RecipeParams, recipe, "recipe")
 
 
-@pytest.fixture(scope="module", params=AVATARS)
-def warmed(request, few, schedule, tiny_parameters):
-    """An avatar before any motion: its recipe, and what the next stage reads; nobody changes it."""
-    recipe = recipe_of(request.param, tiny_parameters)
+def motion_of(kind, tiny_parameters):
+    """A trajectory's parameters, of a kind, with few instants."""
+    methods = tiny_parameters["methods"].values()
+    motions = [method["trajectory"]["motion"] for method in methods]
+    section = next(section for section in motions if section["kind"] == kind)
+    if "virtual_poses" in section:
+        section = section | {"virtual_poses": 3}
+    content = {"motion": section, "supervision": "mean", "mask": "mean"}
+    return parse(TrajectoryParams, content, "trajectory")
+
+
+def warm(recipe, few, schedule, device=CPU, report=quiet):
     torch.manual_seed(0)
     fitted, checkpoint, _ = warm_up(
-        few, recipe, schedule, device=CPU, generator=generator(), report=quiet
+        few, recipe, schedule, device=device, generator=generator(), report=report
     )
     return recipe, fitted, checkpoint
 
 
-@pytest.mark.parametrize("motion", KINDS)
-def test_any_avatar_is_fitted_with_any_motion(motion, warmed, few, schedule, tiny_parameters):
+def go_on(warmed, motion, few, schedule, device=CPU, report=quiet):
     recipe, fitted, checkpoint = warmed
-    methods = tiny_parameters["methods"].values()
-    motions = [method["trajectory"]["motion"] for method in methods]
-    section = next(section for section in motions if section["kind"] == motion)
-    if "virtual_poses" in section:
-        section = section | {"virtual_poses": 3}
-    content = {"motion": section, "supervision": "mean", "mask": "mean"}
-    moves = parse(TrajectoryParams, content, "trajectory")
     torch.manual_seed(0)
-    shared = {"device": CPU, "generator": generator(), "report": quiet}
+    shared = {"device": device, "generator": generator(), "report": report}
     fitted, found, checkpoint, _ = fit_trajectory(
-        few, fitted, checkpoint, recipe, moves, schedule, **shared
+        few, fitted, checkpoint, recipe, motion, schedule, **shared
     )
     unfused = UnfusedParams(supervision="mean", mask="mean")
     fitted, found, _ = fuse(
-        few, fitted, found, checkpoint, recipe, moves.motion, unfused, schedule, **shared
+        few, fitted, found, checkpoint, recipe, motion.motion, unfused, schedule, **shared
     )
+    return fitted, found
+
+
+@pytest.fixture(scope="module", params=AVATARS)
+def warmed(request, few, schedule, tiny_parameters):
+    """An avatar before any motion: its recipe, and what the next stage reads; nobody changes it."""
+    return warm(recipe_of(request.param, tiny_parameters), few, schedule)
+
+
+@pytest.mark.parametrize("motion", KINDS)
+def test_any_avatar_is_fitted_with_any_motion(motion, warmed, few, schedule, tiny_parameters):
+    fitted, found = go_on(warmed, motion_of(motion, tiny_parameters), few, schedule)
     assert found.kind == motion
     model = avatar_from_artifact(fitted, few.body, CPU)
-    assert model.kind == recipe.model.kind
+    assert model.kind == warmed[0].model.kind
     assert reblur(model, few, found)["psnr_train"] > 5
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+@pytest.mark.parametrize("motion", KINDS)
+@pytest.mark.parametrize("avatar", AVATARS)
+def test_a_fit_on_a_gpu_follows_that_on_the_cpu(
+    avatar, motion, few, schedule, tiny_parameters, monkeypatch
+):
+    """It draws the same numbers, so that its losses are the same but for rounding."""
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", False)  # as a stage does
+    recipe, moves = recipe_of(avatar, tiny_parameters), motion_of(motion, tiny_parameters)
+    losses = {}
+    for device in (CPU, torch.device("cuda")):
+        seen = losses[device.type] = []
+        place = {"device": device, "report": lambda _, terms, seen=seen: seen.append(dict(terms))}
+        go_on(warm(recipe, few, schedule, **place), moves, few, schedule, **place)
+    for here, there in zip(losses["cpu"], losses["cuda"], strict=True):
+        assert there == pytest.approx(here, rel=0.05, abs=1e-5)

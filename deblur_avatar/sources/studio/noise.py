@@ -25,9 +25,7 @@ def correlated_noise(
     """
     lag = (timestamps[:, None] - timestamps[None]).abs().double()
     correlation = torch.exp(-lag / max(correlation_s, 1e-9))
-    white = torch.randn(
-        len(timestamps), channels, generator=generator, dtype=torch.float64, device=generator.device
-    )
+    white = torch.randn(len(timestamps), channels, generator=generator, dtype=torch.float64)
     return torch.linalg.cholesky(correlation) @ white.to(lag.device)
 
 
