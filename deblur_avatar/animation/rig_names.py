@@ -1,7 +1,8 @@
 """Rig mapping: which joint of a named skeleton is which of SMPL's.
 
-Names are compared without case, punctuation and anything up to a colon (`mixamorig:LeftArm`). Only
-the ends of limbs need names; spine, neck and collar bones are what lies between them in the tree.
+Names are compared without case, punctuation and anything up to a colon (`mixamorig:LeftArm`); a
+side may stand at the end, apart (Blender's `thigh.L`). Only the ends of limbs need names; spine,
+neck and collar bones are what lies between them in the tree.
 """
 
 import re
@@ -44,7 +45,7 @@ def recognise(names: Sequence[str], parents: Sequence[int]) -> dict[str, int]:
         ArtifactError: if a joint of the first kind is missing, or arms and head do not hang on one
             chest above the pelvis.
     """
-    plain = [re.sub(r"[^a-z0-9]", "", name.rsplit(":", 1)[-1].lower()) for name in names]
+    plain = [_plain(name) for name in names]
     found = {}
     for joint, forms in NAMES.items():
         index = next((plain.index(form) for form in forms if form in plain), None)
@@ -54,13 +55,21 @@ def recognise(names: Sequence[str], parents: Sequence[int]) -> dict[str, int]:
     if missing:
         raise ArtifactError(
             f"the skeleton has no joint for {', '.join(missing)}; it has {', '.join(names)}. "
-            "Names as mixamo's or CMU's are understood"
+            "Names as mixamo's, CMU's, Blender's or Bandai Namco's are understood"
         )
     ways = {joint: _way_down(found[joint], found["pelvis"], parents) for joint in found}
     for joint, way in ways.items():
         if way is None:
             raise ArtifactError(f"{names[found[joint]]} does not hang on {names[found['pelvis']]}")
     return {**found, **_between(found, {joint: way or [] for joint, way in ways.items()})}
+
+
+def _plain(name: str) -> str:
+    """A name to be compared, its side first."""
+    own = name.rsplit(":", 1)[-1].lower()
+    side_last = re.fullmatch(r"(.+)[^a-z0-9](left|right|l|r)", own)
+    ordered = own if side_last is None else side_last[2] + side_last[1]
+    return re.sub(r"[^a-z0-9]", "", ordered)
 
 
 def _way_down(joint: int, pelvis: int, parents: Sequence[int]) -> list[int] | None:

@@ -278,6 +278,33 @@ def test_old_biovision_names_have_their_upper_arm_at_the_shoulder():
     assert "neck" not in found
 
 
+SIDES_LAST = {
+    "Blender": {
+        "hip": "thigh.{}", "knee": "shin.{}", "ankle": "foot.{}",
+        "shoulder": "upper_arm.{}", "elbow": "forearm.{}", "wrist": "hand.{}",
+    },
+    "Bandai Namco": {
+        "hip": "UpperLeg_{}", "knee": "LowerLeg_{}", "ankle": "Foot_{}",
+        "shoulder": "UpperArm_{}", "elbow": "LowerArm_{}", "wrist": "Hand_{}",
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("convention", SIDES_LAST)
+def test_names_with_their_side_at_the_end_are_recognised(convention):
+    forms = SIDES_LAST[convention]
+    names = [
+        forms[limb].format(side[0].upper()) if (limb := joint.removeprefix(f"{side}_")) in forms
+        else {"pelvis": "Hips", "head": "Head"}.get(joint, f"bone {joint}")
+        for joint in SMPL_JOINT_NAMES
+        for side in [joint.partition("_")[0]]
+    ]  # fmt: skip
+    found = recognise(names, SMPL_PARENTS)
+    for side in ("left", "right"):
+        for limb in forms:
+            assert found[f"{side}_{limb}"] == INDEX[f"{side}_{limb}"]
+
+
 def test_a_skeleton_without_arms_is_refused_by_name():
     names = [name.replace("ForeArm", "Wing") for name in MIXAMO]
     with pytest.raises(ArtifactError, match="no joint for left_elbow, right_elbow; it has Hips"):
