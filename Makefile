@@ -3,12 +3,13 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-WORKERS ?= 2
+# One more than cores: tests that start processes wait for them.
+WORKERS ?= 3
 # The tests of a file stay in one process, which makes what they share once; long ones first: tests/conftest.py.
 DIST := --dist loadfile --no-loadscope-reorder
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)
 
-.PHONY: setup repro avatar check proof stability test test-portable fuzz bench code relock readme clean-cache
+.PHONY: setup repro avatar check proof stability test types tests-once test-portable fuzz bench code relock readme clean-cache
 
 setup: $(STAMP)
 
@@ -49,13 +50,19 @@ proof: code
 stability: code
 	$(BIN)/deblur-avatar sweep stability/dvc.yaml:stability_report
 
+# Types are checked beside the tests: mypy takes one core, and tests leave some idle.
 test: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/lint-imports
-	$(BIN)/mypy
-	$(PYTEST)
+	$(MAKE) --jobs=2 types tests-once
 	$(MAKE) test-portable
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+tests-once: $(STAMP)
+	$(PYTEST)
 
 # All that computes, held back to what nearly every x86-64 processor has: AVX2. One that has no more has
 # run these tests so already.

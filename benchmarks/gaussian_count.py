@@ -23,13 +23,13 @@ import torch
 from matplotlib.figure import Figure
 
 from benchmarks.rasterizer import machine
-from benchmarks.time_to_quality import CPU, PARAMS, filmed, fitted, psnr_seen
+from benchmarks.time_to_quality import PARAMS, filmed, fitted, psnr_seen
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.reporting.charts import drawn, lay_out, panels
-from deblur_avatar.run import write_json
+from deblur_avatar.run import chosen_device, write_json
 from deblur_avatar.training.schedule import ScheduleParams
 
 SIZE = 512
@@ -47,7 +47,7 @@ def row_of(count: int, schedule_name: str, folder: Path) -> dict[str, Any]:
     observations, reference = filmed(SIZE, folder)
     asked = schedule.model_copy(update={"gaussians": count})
     last = fitted(observations, "lean", asked, frozenset())[-1]
-    model = avatar_from_artifact(last.avatar, observations.body, CPU)
+    model = avatar_from_artifact(last.avatar, observations.body, chosen_device())
     return {
         "asked": count,
         "gaussians": len(last.avatar.means),

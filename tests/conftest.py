@@ -7,7 +7,9 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
+import jaxtyping
 import pytest
 import torch
 
@@ -25,6 +27,7 @@ from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
+from deblur_avatar.training.trainer import AvatarFit
 from tests.exports.browser import chromium
 from tests.filmed_scene import Scene, film
 
@@ -34,6 +37,7 @@ HERE = Path(__file__).parent
 FIRST = ("sweep", "stages", "stress", "exports", "fuzz", "sources", "structure", "pipeline")
 
 SIZE = 24  # pixels
+CHECKED_STEPS = 3  # of a fit
 
 PLAIN = PlainParams(kind="plain")
 
@@ -57,6 +61,28 @@ def quick_processes() -> None:
     more to import what it needs.
     """
     os.environ.pop("DEBLUR_AVATAR_CHECK_SHAPES", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shapes_checked_in_first_steps() -> Iterator[None]:
+    """A fit's later steps call what its first ones called: checked in each, shapes take a third of
+    the time of such tests.
+    """
+    step = AvatarFit.step
+    taken: WeakKeyDictionary[AvatarFit, int] = WeakKeyDictionary()
+
+    def checked(fit: AvatarFit, *where: Any) -> dict[str, float]:
+        taken[fit] = taken.get(fit, 0) + 1
+        before = jaxtyping.config.jaxtyping_disable
+        jaxtyping.config.update("jaxtyping_disable", before or taken[fit] > CHECKED_STEPS)
+        try:
+            return step(fit, *where)
+        finally:
+            jaxtyping.config.update("jaxtyping_disable", before)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(AvatarFit, "step", checked)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

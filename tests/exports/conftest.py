@@ -26,7 +26,7 @@ PAGE = {
 
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
-    with silent_page(browser, 800, 600) as opened:
+    with silent_page(browser, 780, 400) as opened:
         yield opened
 
 

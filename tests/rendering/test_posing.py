@@ -94,12 +94,11 @@ def test_tensors_need_not_be_contiguous():
 
 def test_one_tensor_of_another_precision_is_never_read_as_float32():
     means, covariance_factors, weights, transforms = (value.detach() for value in scene(30, 2))
-    _, wanted = pose_gaussians(means, covariance_factors, weights, transforms)
-    _, found = pose_gaussians(means, covariance_factors.double(), weights, transforms)
-    torch.testing.assert_close(found.float(), wanted)
-    for mixed in ((weights.double(), transforms), (weights, transforms.double())):
-        with pytest.raises(RuntimeError, match="expected scalar type"):
-            pose_gaussians(means, covariance_factors, *mixed)
+    given = [means, covariance_factors, weights, transforms]
+    for place in range(4):
+        mixed = [value.double() if i == place else value for i, value in enumerate(given)]
+        with pytest.raises(RuntimeError, match="scalar type|same dtype"):
+            pose_gaussians(*mixed)
 
 
 @pytest.mark.parametrize("which", [1, 2, 3])
