@@ -3,8 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
-# One more than cores: tests that start processes wait for them.
-WORKERS ?= 3
+WORKERS ?= 2
 # The tests of a file stay in one process, which makes what they share once; long ones first: tests/conftest.py.
 DIST := --dist loadfile --no-loadscope-reorder
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)

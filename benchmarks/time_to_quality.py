@@ -5,10 +5,10 @@
 films the synthetic studio at each size, fits it with the schedule of that size, and scores avatars
 kept on the way against sharp novel views (PSNR over the surface that the training camera saw). The
 reference is what a run of 15,000 iterations without levels reaches with the same settings: it takes
-hours, is run once by `--reference`, which goes on where it was stopped, and stands in
-`--references FILE`, which a record is compared with. Seconds are of fitting alone, by the clock and
-of the processor; a record wants an idle machine, and says of each row how busy it was. Rows that a
-record has of other sizes, methods, schedules and seeds stay in it. `--beside` adds what a second
+hours, is run once by `--reference`, which goes on where it was stopped, and stands in `--references
+FILE`, which a record is compared with. Seconds are of fitting alone, by the clock and of the
+processor; a record wants an idle machine, and says of each row how busy it was. Rows that a record
+has of other sizes, methods, schedules, seeds and devices stay in it. `--beside` adds what a second
 fit on the same cores costs. Fits run on a GPU where there is one (`DEBLUR_AVATAR_DEVICE`).
 """
 
@@ -55,6 +55,8 @@ SCENE = "studio"
 AVATARS = {"lean": "lean", "agnostic": "paper", "paper": "paper"}  # of methods
 SCHEDULES = {192: "medium", 512: "large", 1024: "huge"}  # by size
 WITHIN_DB = 0.2
+# What tells rows apart, and what those have that do not say.
+TOLD_APART = {"size": 0, "method": "", "schedule": "", "seed": 0, "device": "cpu"}
 VIEWS = 12  # that each avatar is scored on
 MOMENTS = 12  # at which avatars are kept
 BESIDE = ScheduleParams(
@@ -121,9 +123,10 @@ def fitted(
         clocks[iteration] = time.perf_counter() - begin[0], time.process_time() - begin[1]
 
     with TemporaryDirectory() if place is None else nullcontext(place) as there:
-        key = run_key([seed, sorted(moments)], [recipe, params, schedule], inputs)
+        device = run.chosen_device()
+        key = run_key([seed, sorted(moments), device], [recipe, params, schedule], inputs)
         generator = torch.Generator().manual_seed(seed)
-        common = {"device": run.chosen_device(), "generator": generator, "report": watch}
+        common = {"device": device, "generator": generator, "report": watch}
 
         def folder(stage: str) -> RunFolder:
             path = Path(there) / stage
@@ -200,6 +203,7 @@ def row_of(
         "method": method,
         "schedule": name,
         "seed": seed,
+        "device": run.chosen_device().type,
         "iterations": schedule.fusion,
         "seconds_to_within_0.2_db": good[0].seconds if good else None,
         "processor_seconds_to_within_0.2_db": good[0].processor_seconds if good else None,
@@ -216,7 +220,7 @@ def row_of(
 def with_rows(
     known: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], beside: float | None
 ) -> dict[str, Any]:
-    """A record with these rows in place of those of the same size, method, schedule and seed.
+    """A record with these rows in place of those that differ in nothing of `TOLD_APART`.
 
     Raises:
         SystemExit: if what is known was measured on another machine.
@@ -231,7 +235,7 @@ def with_rows(
             )
     all_rows = [*known.get("rows", []), *rows]
     latest = {
-        (row["size"], row["method"], row["schedule"], row.get("seed", 0)): dict(row)
+        tuple(row.get(name, known) for name, known in TOLD_APART.items()): dict(row)
         for row in all_rows
     }
     return {
@@ -270,6 +274,7 @@ def beside_another(folder: Path) -> float:
 def main(arguments: argparse.Namespace) -> None:
     """Measure, print, and write."""
     torch.set_num_threads(1)
+    torch.backends.cudnn.allow_tf32 = False  # as stages have it
     path: Path = arguments.references
     references: dict[str, float] = json.loads(path.read_text()) if path.exists() else {}
     if arguments.reference:

@@ -37,7 +37,7 @@ HERE = Path(__file__).parent
 FIRST = ("sweep", "stages", "stress", "exports", "fuzz", "sources", "structure", "pipeline")
 
 SIZE = 24  # pixels
-CHECKED_STEPS = 3  # of a fit
+CHECKED_STEPS = 3  # of a fit, at its beginning
 
 PLAIN = PlainParams(kind="plain")
 
@@ -65,16 +65,17 @@ def quick_processes() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def shapes_checked_in_first_steps() -> Iterator[None]:
-    """A fit's later steps call what its first ones called: checked in each, shapes take a third of
-    the time of such tests.
+    """And in every tenth: most of a fit's steps call what the ones before called, and checking each
+    takes a third of the time of such tests.
     """
     step = AvatarFit.step
     taken: WeakKeyDictionary[AvatarFit, int] = WeakKeyDictionary()
 
     def checked(fit: AvatarFit, *where: Any) -> dict[str, float]:
         taken[fit] = taken.get(fit, 0) + 1
+        looked_at = taken[fit] <= CHECKED_STEPS or taken[fit] % 10 == 0
         before = jaxtyping.config.jaxtyping_disable
-        jaxtyping.config.update("jaxtyping_disable", before or taken[fit] > CHECKED_STEPS)
+        jaxtyping.config.update("jaxtyping_disable", before or not looked_at)
         try:
             return step(fit, *where)
         finally:

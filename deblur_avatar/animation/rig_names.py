@@ -1,7 +1,7 @@
 """Rig mapping: which joint of a named skeleton is which of SMPL's.
 
 Names are compared without case, punctuation and anything up to a colon (`mixamorig:LeftArm`); a
-side may stand at the end, apart (Blender's `thigh.L`). Only the ends of limbs need names; spine,
+side may stand at the end, apart (`UpperLeg_L`). Only the ends of limbs need names; spine,
 neck and collar bones are what lies between them in the tree.
 """
 
@@ -55,7 +55,7 @@ def recognise(names: Sequence[str], parents: Sequence[int]) -> dict[str, int]:
     if missing:
         raise ArtifactError(
             f"the skeleton has no joint for {', '.join(missing)}; it has {', '.join(names)}. "
-            "Names as mixamo's, CMU's, Blender's or Bandai Namco's are understood"
+            "Names as mixamo's, CMU's or Bandai Namco's are understood"
         )
     ways = {joint: _way_down(found[joint], found["pelvis"], parents) for joint in found}
     for joint, way in ways.items():

@@ -44,7 +44,7 @@ def rasterize(
 
     Raises:
         ValueError: the tensors are not float32 on a GPU, or a value is NaN or infinite.
-        ConfigError: gsplat is not installed, or was not compiled.
+        ConfigError: gsplat is not installed, or its kernels cannot be compiled.
     """
     _check_place(means)
     refuse_not_finite(
@@ -117,6 +117,11 @@ def _gsplat_rasterization() -> "Callable[..., Any]":
     except ImportError as error:
         raise ConfigError(
             "tensors on a GPU are rasterized by gsplat: pip install 'deblur-avatar[cuda]', or set"
+            " DEBLUR_AVATAR_DEVICE=cpu"
+        ) from error
+    except (OSError, RuntimeError) as error:  # of the compiler that it calls
+        raise ConfigError(
+            f"gsplat cannot compile its kernels: {error!s:.300}; mend that, or set"
             " DEBLUR_AVATAR_DEVICE=cpu"
         ) from error
     if _C is None:

@@ -81,7 +81,7 @@ def replace_gaussians(
     """Keep some Gaussians, add others; the optimizer's memory follows (new ones have none)."""
     for group in optimizer.param_groups:
         (name,), (old,) = group["names"], group["params"]
-        new = [part[name] for part in added]
+        new = [part[name].to(old.device) for part in added]
         fresh = torch.nn.Parameter(torch.cat([old.data[keep], *new]))
         memory = optimizer.state.pop(old, {})
         for key, value in memory.items():

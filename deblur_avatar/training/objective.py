@@ -32,7 +32,7 @@ class Objective:
         observations: what is known of the clip.
         recipe: weights of the losses and of the avatar's regularisers.
         motion: weights of the motion's priors.
-        device: of everything.
+        device: of the pictures that are compared.
     """
 
     def __init__(

@@ -2,8 +2,8 @@
 
 A stage that writes to `data/<stage>/<item>` works in `data/<stage>/.<item>.unfinished`, which DVC
 leaves alone. A stage that was stopped there, however it was stopped, goes on from the last
-`Progress` and ends with the same bytes as one that never stopped; what was left by other code,
-parameters or inputs is thrown away. The folder is gone once the stage is done.
+`Progress` and ends, on the CPU, with the same bytes as one that never stopped; what was left by
+other code, parameters or inputs is thrown away. The folder is gone once the stage is done.
 """
 
 import fcntl

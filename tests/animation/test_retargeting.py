@@ -279,7 +279,7 @@ def test_old_biovision_names_have_their_upper_arm_at_the_shoulder():
 
 
 SIDES_LAST = {
-    "Blender": {
+    "with a full stop": {
         "hip": "thigh.{}", "knee": "shin.{}", "ankle": "foot.{}",
         "shoulder": "upper_arm.{}", "elbow": "forearm.{}", "wrist": "hand.{}",
     },

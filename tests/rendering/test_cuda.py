@@ -1,8 +1,12 @@
 """The gsplat adapter: on a GPU against the kernel, elsewhere with a stand-in for gsplat."""
 
+import sys
+from types import ModuleType
+
 import pytest
 import torch
 
+from deblur_avatar.errors import ConfigError
 from deblur_avatar.rendering import cuda
 from deblur_avatar.rendering.conventions import EPS2D
 from deblur_avatar.rendering.covariances import upper_triangles
@@ -129,6 +133,39 @@ def test_what_is_not_finite_is_refused_by_name(make_scene, on_the_cpu):
 def test_tensors_elsewhere_are_refused(make_scene):
     with pytest.raises(ValueError, match="on a GPU, got torch.float32 on cpu"):
         make_scene().rasterize("cuda", torch.float32)
+
+
+class Uncompiled(ModuleType):
+    """gsplat as it is where its kernels are not compiled."""
+
+    rasterization = None
+
+    def __init__(self, name, compiled):
+        super().__init__(name)
+        self.compiled = compiled
+
+    @property
+    def _C(self):
+        if isinstance(self.compiled, Exception):
+            raise self.compiled
+        return self.compiled
+
+
+@pytest.mark.parametrize(("compiled", "said"), [
+    (None, "nvcc, which it did not find"),
+    (RuntimeError("Error building extension 'gsplat_cuda'"), "cannot compile its kernels: Error"),
+])  # fmt: skip
+def test_a_gsplat_without_kernels_says_what_to_do(compiled, said, monkeypatch):
+    for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
+        monkeypatch.setitem(sys.modules, name, Uncompiled(name, compiled))
+    with pytest.raises(ConfigError, match=f"{said}.*DEBLUR_AVATAR_DEVICE=cpu"):
+        cuda._gsplat_rasterization()
+
+
+def test_a_gpu_without_gsplat_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    with pytest.raises(ConfigError, match="pip install .*cuda.*DEBLUR_AVATAR_DEVICE=cpu"):
+        cuda._gsplat_rasterization()
 
 
 @pytest.mark.gpu
