@@ -235,7 +235,7 @@ def with_rows(
             )
     all_rows = [*known.get("rows", []), *rows]
     latest = {
-        tuple(row.get(name, known) for name, known in TOLD_APART.items()): dict(row)
+        tuple(row.get(name, unsaid) for name, unsaid in TOLD_APART.items()): dict(row)
         for row in all_rows
     }
     return {
