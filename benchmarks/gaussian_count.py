@@ -23,7 +23,7 @@ import torch
 from matplotlib.figure import Figure
 
 from benchmarks.rasterizer import machine
-from benchmarks.time_to_quality import PARAMS, filmed, fitted, psnr_seen
+from benchmarks.time_to_quality import PARAMS, filmed, fitted, psnr_seen, settings_of
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import load_params
@@ -46,7 +46,7 @@ def row_of(count: int, schedule_name: str, folder: Path) -> dict[str, Any]:
     schedule = load_params(PARAMS, f"schedules.{schedule_name}", ScheduleParams)
     observations, reference = filmed(SIZE, folder)
     asked = schedule.model_copy(update={"gaussians": count})
-    last = fitted(observations, "lean", asked, frozenset())[-1]
+    last = fitted(observations, *settings_of("lean"), asked, frozenset())[-1]
     model = avatar_from_artifact(last.avatar, observations.body, chosen_device())
     return {
         "asked": count,

@@ -94,28 +94,36 @@ def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
     return Observations.load(place / "observations"), Reference.load(place / "reference")
 
 
+def settings_of(method: str) -> tuple[RecipeParams, MethodParams]:
+    """What `params.yaml` has for a method: its avatar's recipe, and its motion."""
+    return (
+        load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams),
+        load_params(PARAMS, f"methods.{method}", MethodParams),
+    )
+
+
 def fitted(
     observations: Observations,
-    method: str,
+    recipe: RecipeParams,
+    method: MethodParams,
     schedule: ScheduleParams,
     moments: frozenset[int],
     place: Path | None = None,
     inputs: Sequence[Path] = (),
     seed: int = 0,
 ) -> list[Kept]:
-    """Fit one method, and keep avatars after some iterations and at the end.
+    """Fit an avatar with a motion, and keep avatars after some iterations and at the end.
 
     Args:
         observations: of the person.
-        method: its name.
+        recipe: of the avatar.
+        method: the motion, and what follows the warm-up.
         schedule: how long, and how large.
         moments: the iterations after which avatars are kept.
         place: a folder in which a fit that was stopped goes on; its seconds are those since then.
         inputs: folders that the observations were read from; a fit of others begins anew there.
         seed: of its draws.
     """
-    recipe = load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams)
-    params = load_params(PARAMS, f"methods.{method}", MethodParams)
     clocks: dict[int, tuple[float, float]] = {}
     begin = time.perf_counter(), time.process_time()
 
@@ -124,7 +132,7 @@ def fitted(
 
     with TemporaryDirectory() if place is None else nullcontext(place) as there:
         device = run.chosen_device()
-        key = run_key([seed, sorted(moments), device], [recipe, params, schedule], inputs)
+        key = run_key([seed, sorted(moments), device], [recipe, method, schedule], inputs)
         generator = torch.Generator().manual_seed(seed)
         common = {"device": device, "generator": generator, "report": watch}
 
@@ -137,12 +145,12 @@ def fitted(
             observations, recipe, schedule, folder=folder("warmup"), **common
         )
         avatar, motion, checkpoint, _ = fit_trajectory(
-            observations, avatar, checkpoint, recipe, params.trajectory, schedule,
+            observations, avatar, checkpoint, recipe, method.trajectory, schedule,
             folder=folder("trajectory"), **common,
         )  # fmt: skip
         avatar, motion, _ = fuse(
-            observations, avatar, motion, checkpoint, recipe, params.trajectory.motion,
-            params.fusion, schedule, folder=folder("fusion"), **common,
+            observations, avatar, motion, checkpoint, recipe, method.trajectory.motion,
+            method.fusion, schedule, folder=folder("fusion"), **common,
         )  # fmt: skip
         kept = [
             Kept(
@@ -188,7 +196,7 @@ def row_of(
     moments = frozenset(round(schedule.fusion * (i + 1) / MOMENTS) for i in range(MOMENTS - 1))
     observations, reference = filmed(size, folder)
     here = machine(0.0)
-    kept = fitted(observations, method, schedule, moments, seed=seed)
+    kept = fitted(observations, *settings_of(method), schedule, moments, seed=seed)
     scores = [psnr_seen(observations, reference, one) for one in kept]
     wanted = references.get(f"{SCENE}-{size}-{method}")
     good = [
@@ -253,14 +261,14 @@ def reference_of(method: str, size: int, folder: Path) -> float:
     observations, reference = filmed(size, folder)
     place = folder / f"{SCENE}_{size}_{method}_reference"
     film = folder / f"{SCENE}_{size}" / "observations"
-    kept = fitted(observations, method, whole, frozenset(), place, [film])
+    kept = fitted(observations, *settings_of(method), whole, frozenset(), place, [film])
     return psnr_seen(observations, reference, kept[-1])
 
 
 def _fit_for_a_while(folder: Path) -> float:
     torch.set_num_threads(1)
     observations, _ = filmed(192, folder)
-    return fitted(observations, "lean", BESIDE, frozenset())[-1].seconds
+    return fitted(observations, *settings_of("lean"), BESIDE, frozenset())[-1].seconds
 
 
 def beside_another(folder: Path) -> float:

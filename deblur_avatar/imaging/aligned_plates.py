@@ -16,15 +16,19 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.imaging.background_features import (
+    FEWEST,
+    Features,
+    background_features,
+    matched_scale,
+    matches,
+    sift,
+)
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
 from deblur_avatar.imaging.plate_light import plates_in_their_light
 
-MATCHED_WIDTH = 960  # pixels; larger frames are matched at this size
-FEATURES = 2000  # a frame: a textured wall has more, a bare one fewer
-RATIO = 0.75  # of the best match's distance to the second best (Lowe 2004)
 RANSAC_PIXELS = 2.0  # from a homography, still an inlier
-FEWEST = 30  # inliers without which a homography means nothing
 KEY_INLIERS = 0.4  # share of a keyframe's inliers below which the frame before becomes a keyframe
 MAX_MOSAIC = 6.0  # area of the mosaic, in frames; beyond, a homography has run away
 MOSAIC_FRAMES = 48  # that its median is taken of
@@ -69,9 +73,8 @@ def align_frames(
     frame before becomes the next keyframe.
     """
     height, width = mattes.shape[1:]
-    scale = min(1.0, MATCHED_WIDTH / max(width, height))
-    detector = cv2.SIFT_create(FEATURES)  # type: ignore[attr-defined]
-    found = [_features(detector, *pair, scale) for pair in zip(frames, mattes, strict=True)]
+    scale, detector = matched_scale(height, width), sift()
+    found = [background_features(*seen, detector) for seen in zip(frames, mattes, strict=True)]
     placed: list[np.ndarray] = [np.eye(3)]
     key, most = 0, 0
     for index in range(1, len(found)):
@@ -88,32 +91,13 @@ def align_frames(
                           (width, height))  # fmt: skip
 
 
-def _features(
-    detector: cv2.Feature2D, frame: Tensor, matte: Tensor, scale: float
-) -> tuple[np.ndarray, np.ndarray | None]:
-    grey: np.ndarray = cv2.cvtColor(frame.numpy(), cv2.COLOR_RGB2GRAY)
-    mask: np.ndarray = background_mask(matte).numpy().astype(np.uint8)
-    if scale < 1:
-        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        mask = cv2.resize(mask, (grey.shape[1], grey.shape[0]), interpolation=cv2.INTER_NEAREST)
-    points, descriptors = detector.detectAndCompute(grey, mask)
-    return np.array([point.pt for point in points], np.float32).reshape(-1, 2), descriptors
-
-
-def _homography(
-    key: tuple[np.ndarray, np.ndarray | None], other: tuple[np.ndarray, np.ndarray | None]
-) -> tuple[np.ndarray, int] | None:
+def _homography(key: Features, other: Features) -> tuple[np.ndarray, int] | None:
     """`key_from_other` and its inliers; None without enough of them."""
-    if key[1] is None or other[1] is None or min(len(key[0]), len(other[0])) < FEWEST:
+    pair = matches(key, other)
+    if pair is None:
         return None
-    matches = cv2.BFMatcher(cv2.NORM_L2).knnMatch(other[1], key[1], k=2)
-    good = [pair[0] for pair in matches if pair[0].distance < RATIO * pair[-1].distance]
-    if len(good) < FEWEST:
-        return None
-    source = other[0][[match.queryIdx for match in good]]
-    target = key[0][[match.trainIdx for match in good]]
     cv2.setRNGSeed(0)  # RANSAC draws
-    step, inliers = cv2.findHomography(source, target, cv2.RANSAC, RANSAC_PIXELS)
+    step, inliers = cv2.findHomography(*pair, cv2.RANSAC, RANSAC_PIXELS)
     if step is None or inliers.sum() < FEWEST:
         return None
     return step, int(inliers.sum())

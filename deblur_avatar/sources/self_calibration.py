@@ -1,7 +1,7 @@
 """Self-calibration: the focal length of a moving camera, from the background it moves past.
 
-Structure from motion with pycolmap. The person is masked out. A camera that stands still tells
-nothing, and then there is no answer rather than a guess.
+Structure from motion with pycolmap. The person is masked out. A camera that stands still, or turns
+or drifts in one place, tells nothing, and then there is no answer rather than a guess.
 
 Frames come one after the other, so that each is matched with its neighbours and with some farther
 off (1, 2, 4 ... frames), not with all. The way is looked for twice from the same features, side by
@@ -25,6 +25,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.camera_motion import background_mask
+from deblur_avatar.imaging.parallax import has_parallax
 from deblur_avatar.imaging.picture_files import write_picture
 
 logger = logging.getLogger(__name__)
@@ -52,6 +53,8 @@ def calibrate_focal(
     Returns:
         The focal length or None, and in words how it was found or why it was not.
     """
+    if not has_parallax(frames, mattes):
+        return None, "the camera turned or drifted in one place, which does not tell it"
     import pycolmap  # 134 MB of libraries, for those alone who need them
 
     chosen = np.linspace(0, len(frames) - 1, min(MAX_FRAMES, len(frames))).round().astype(int)

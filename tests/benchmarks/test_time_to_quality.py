@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks import time_to_quality as module
-from benchmarks.time_to_quality import Kept, fitted, row_of, with_rows
+from benchmarks.time_to_quality import Kept, fitted, row_of, settings_of, with_rows
 from deblur_avatar.training import trainer
 from deblur_avatar.training.schedule import ScheduleParams
 
@@ -24,7 +24,7 @@ def _in_the_repository(monkeypatch):
 
 
 def test_avatars_are_kept_on_the_way_with_what_they_took(filmed):
-    kept = fitted(filmed, "lean", SCHEDULE, frozenset({2, 6, 10}))
+    kept = fitted(filmed, *settings_of("lean"), SCHEDULE, frozenset({2, 6, 10}))
     assert [one.avatar.iteration for one in kept] == [2, 6, 10, 12]
     seconds = [one.seconds for one in kept]
     assert seconds == sorted(seconds)
@@ -45,7 +45,7 @@ def test_a_reference_that_was_stopped_goes_on_and_ends_with_the_same_avatar(
     monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", device)
     monkeypatch.setattr(module.RunFolder, "due", lambda folder: True)
     monkeypatch.setattr(trainer, "NEIGHBOUR_REFRESH", 2)
-    whole = fitted(filmed, "lean", SCHEDULE, frozenset())[-1].avatar
+    whole = fitted(filmed, *settings_of("lean"), SCHEDULE, frozenset())[-1].avatar
 
     def stopped(*_, **__):
         raise KeyboardInterrupt
@@ -53,9 +53,9 @@ def test_a_reference_that_was_stopped_goes_on_and_ends_with_the_same_avatar(
     with monkeypatch.context() as on_the_way:
         on_the_way.setattr(module, "fuse", stopped)
         with pytest.raises(KeyboardInterrupt):
-            fitted(filmed, "lean", SCHEDULE, frozenset(), tmp_path)
+            fitted(filmed, *settings_of("lean"), SCHEDULE, frozenset(), tmp_path)
     caplog.set_level("INFO")
-    again = fitted(filmed, "lean", SCHEDULE, frozenset(), tmp_path)[-1].avatar
+    again = fitted(filmed, *settings_of("lean"), SCHEDULE, frozenset(), tmp_path)[-1].avatar
     assert "going on after iteration 7" in caplog.text
     # Sums on a GPU come in any order.
     within = {"atol": 0.0, "rtol": 0.0} if device == "cpu" else {"atol": 5e-3, "rtol": 0.0}
@@ -63,7 +63,7 @@ def test_a_reference_that_was_stopped_goes_on_and_ends_with_the_same_avatar(
 
 
 def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkeypatch, filmed):
-    kept = fitted(filmed, "lean", SCHEDULE, frozenset({6}))
+    kept = fitted(filmed, *settings_of("lean"), SCHEDULE, frozenset({6}))
     moments = [Kept(float(s), 2.0 * s, kept[0].avatar, kept[0].motion) for s in (1, 2, 3)]
     scores = iter([15.0, 15.9, 16.2])
     monkeypatch.setattr(module, "filmed", lambda size, folder: (filmed, None))
@@ -86,7 +86,8 @@ def test_a_fit_is_good_from_the_first_avatar_near_enough_to_the_reference(monkey
 
 def test_another_seed_fits_another_avatar(filmed):
     first, second = (
-        fitted(filmed, "lean", SCHEDULE, frozenset(), seed=seed)[-1] for seed in (0, 1)
+        fitted(filmed, *settings_of("lean"), SCHEDULE, frozenset(), seed=seed)[-1]
+        for seed in (0, 1)
     )
     assert not torch.equal(first.avatar.means, second.avatar.means)
 

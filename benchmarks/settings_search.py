@@ -1,0 +1,243 @@
+"""Settings search: the same small search for every motion, by validation frames.
+
+    python -m benchmarks.settings_search --json FILE --scenes studio=FOLDER striding=FOLDER
+        [--avatars plain networks] [--motions agnostic pair paper mad clip]
+
+fits tuning scenes (each an artifact of observations, as the stage `preprocess` leaves it) with each
+motion on each avatar, and prints JSON. A search is one fit with the settings of `params.yaml`, one
+for every other value of `GRID`, one setting at a time, and one with the value of each setting that
+did best over all scenes together: the same values, and as many fits, for every motion. What decides
+is PSNR of the training camera's validation frames, which were not fitted; no other view is looked
+at. Fits that FILE has are not fitted again.
+"""
+
+import argparse
+import json
+import multiprocessing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import torch
+
+from benchmarks.rasterizer import machine
+from benchmarks.time_to_quality import PARAMS, fitted
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.avatars.kinds import avatar_from_artifact
+from deblur_avatar.config.reading import load_params
+from deblur_avatar.evaluation.reblur import mean_reblur_psnr
+from deblur_avatar.methods import MethodParams
+from deblur_avatar.run import chosen_device, write_json
+from deblur_avatar.training.params import RecipeParams
+from deblur_avatar.training.schedule import ScheduleParams
+
+AVATARS = {"plain": "lean", "networks": "paper"}  # of params.yaml, by the proof's names
+MOTIONS = {
+    "agnostic": "agnostic", "pair": "no_fusion", "paper": "paper", "mad": "mad", "clip": "lean",
+}  # fmt: skip
+# Every avatar's and motion's own value is among these.
+GRID = {
+    "features": (1.0e-3, 5.0e-3, 2.0e-2),  # rate of colours
+    "max_growth": (1.25, 1.5, 2.0),  # most Gaussians, times the first count
+    "transl": (1.0e-4, 3.0e-4, 1.0e-3),  # rate, metres
+    "poses": (1.0e-3, 3.0e-3, 1.0e-2),  # rate, radians
+}
+
+Settings = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One fit of a search: what is fitted to which scene, with which settings."""
+
+    scene: str
+    avatar: str
+    motion: str
+    settings: tuple[float, ...]  # in `GRID`'s order
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> "Cell":
+        """What a row of a record is of."""
+        settings = tuple(row["settings"][name] for name in GRID)
+        return cls(row["scene"], row["avatar"], row["motion"], settings)
+
+
+def recipe_and_method(avatar: str, motion: str) -> tuple[RecipeParams, MethodParams]:
+    """What `params.yaml` has for an avatar and a motion."""
+    return (
+        load_params(PARAMS, f"avatars.{AVATARS[avatar]}", RecipeParams),
+        load_params(PARAMS, f"methods.{MOTIONS[motion]}", MethodParams),
+    )
+
+
+def own_settings(recipe: RecipeParams, method: MethodParams) -> dict[str, float]:
+    """The settings that are searched for, as they are, in `GRID`'s order."""
+    motion: Any = method.trajectory.motion
+    return {
+        "features": recipe.fitting.rates.features,
+        "max_growth": recipe.fitting.densify.max_growth,
+        "transl": motion.rates.transl,
+        "poses": motion.rates.poses,
+    }
+
+
+def with_settings(
+    recipe: RecipeParams, method: MethodParams, settings: Settings
+) -> tuple[RecipeParams, MethodParams]:
+    """The same avatar and motion with other settings."""
+    fitting = recipe.fitting
+    motion: Any = method.trajectory.motion
+    rates = fitting.rates.model_copy(update={"features": settings["features"]})
+    densify = fitting.densify.model_copy(update={"max_growth": settings["max_growth"]})
+    fitting = fitting.model_copy(update={"rates": rates, "densify": densify})
+    steps = {name: settings[name] for name in ("transl", "poses")}
+    motion = motion.model_copy(update={"rates": motion.rates.model_copy(update=steps)})
+    trajectory = method.trajectory.model_copy(update={"motion": motion})
+    return (
+        recipe.model_copy(update={"fitting": fitting}),
+        method.model_copy(update={"trajectory": trajectory}),
+    )
+
+
+def one_at_a_time(own: Settings) -> Iterator[dict[str, float]]:
+    """The own settings, and those that differ from them in one value."""
+    yield dict(own)
+    for name, values in GRID.items():
+        for value in values:
+            if value != own[name]:
+                yield {**own, name: value}
+
+
+def best_together(own: Settings, scores: Mapping[tuple[float, ...], float]) -> dict[str, float]:
+    """Of each setting the value that did best with all others as they are; its own, if none did.
+
+    Args:
+        own: the settings of `params.yaml`.
+        scores: by settings in `GRID`'s order, mean over scenes, dB.
+    """
+    return {
+        name: max(
+            (own[name], *values), key=lambda value: scores[tuple({**own, name: value}.values())]
+        )
+        for name, values in GRID.items()
+    }
+
+
+def row_of(cell: Cell, observations: Path, schedule_name: str) -> dict[str, Any]:
+    """Fit one cell, and score its validation frames."""
+    torch.set_num_threads(1)
+    settings = dict(zip(GRID, cell.settings, strict=True))
+    recipe, method = with_settings(*recipe_and_method(cell.avatar, cell.motion), settings)
+    seen = Observations.load(observations)
+    schedule = load_params(PARAMS, f"schedules.{schedule_name}", ScheduleParams)
+    last = fitted(seen, recipe, method, schedule, frozenset())[-1]
+    model = avatar_from_artifact(last.avatar, seen.body, chosen_device())
+    score = mean_reblur_psnr(model, seen, last.motion, seen.validation)
+    if score is None:
+        raise SystemExit(f"{observations}: no frame is set aside for validation")
+    return {
+        "scene": cell.scene, "avatar": cell.avatar, "motion": cell.motion, "settings": settings,
+        "psnr_validation": round(score, 4), "gaussians": len(last.avatar.means),
+        "processor_seconds": round(last.processor_seconds, 1),
+    }  # fmt: skip
+
+
+def mean_scores(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], dict[Any, float]]:
+    """By avatar and motion, and by settings: the mean over scenes of those that all have."""
+    scenes = {row["scene"] for row in rows}
+    scores: dict[tuple[str, str], dict[Any, dict[str, float]]] = {}
+    for row in rows:
+        cell = Cell.of(row)
+        of_pair = scores.setdefault((cell.avatar, cell.motion), {})
+        of_pair.setdefault(cell.settings, {})[cell.scene] = row["psnr_validation"]
+    return {
+        pair: {key: fmean(one.values()) for key, one in known.items() if set(one) == scenes}
+        for pair, known in scores.items()
+    }
+
+
+def record_of(rows: Sequence[Mapping[str, Any]], schedule_name: str) -> dict[str, Any]:
+    """The rows, and for every avatar and motion what its search brought, dB over all scenes."""
+    searches = []
+    for (avatar, motion), scores in sorted(mean_scores(rows).items()):
+        own = own_settings(*recipe_and_method(avatar, motion))
+        singles = [tuple(settings.values()) for settings in one_at_a_time(own)]
+        if not set(singles) <= set(scores):
+            continue
+        here = scores[singles[0]]
+        together = best_together(own, scores)
+        found = scores.get(tuple(together.values()))
+        searches.append({
+            "avatar": avatar, "motion": motion, "fits": len(scores), "own": own,
+            "psnr_validation": round(here, 4),
+            "gain_of": {
+                f"{name} {value:g}": round(scores[tuple({**own, name: value}.values())] - here, 4)
+                for name, values in GRID.items() for value in values if value != own[name]
+            },
+            "best_together": together,
+            "gain_together": None if found is None else round(found - here, 4),
+        })  # fmt: skip
+    return {
+        "machine": machine(0.0), "schedule": schedule_name, "searches": searches,
+        "rows": sorted((dict(row) for row in rows), key=lambda row: str(Cell.of(row))),
+    }  # fmt: skip
+
+
+def wanted(arguments: argparse.Namespace, rows: Sequence[Mapping[str, Any]]) -> list[Cell]:
+    """The cells that can be fitted now: single changes first, then the best of them together."""
+    means = mean_scores(rows)
+    cells = []
+    for avatar, motion in product(arguments.avatars, arguments.motions):
+        own = own_settings(*recipe_and_method(avatar, motion))
+        settings = [tuple(one.values()) for one in one_at_a_time(own)]
+        scores = means.get((avatar, motion), {})
+        if set(settings) <= set(scores):
+            settings.append(tuple(best_together(own, scores).values()))
+        cells += [
+            Cell(scene, avatar, motion, one) for scene in arguments.scenes for one in settings
+        ]
+    done = {Cell.of(row) for row in rows}
+    return [cell for cell in cells if cell not in done]
+
+
+def _row(task: tuple[Cell, Path, str]) -> dict[str, Any]:
+    return row_of(*task)
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Fit, print, write."""
+    path: Path | None = arguments.json
+    rows = json.loads(path.read_text())["rows"] if path and path.exists() else []
+    with multiprocessing.get_context("spawn").Pool(arguments.at_once) as pool:
+        while cells := wanted(arguments, rows):
+            tasks = [(cell, arguments.scenes[cell.scene], arguments.schedule) for cell in cells]
+            for row in pool.imap_unordered(_row, tasks):
+                rows.append(row)
+                print(json.dumps(row), flush=True)
+                if path:
+                    write_json(path, record_of(rows, arguments.schedule))
+    print(json.dumps(record_of(rows, arguments.schedule)["searches"], indent=1))
+
+
+def _arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, help="write the record to this file, or go on with it")
+    parser.add_argument(
+        "--scenes", nargs="+", required=True, metavar="NAME=FOLDER", help="observations"
+    )  # fmt: skip
+    parser.add_argument("--avatars", nargs="+", choices=AVATARS, default=list(AVATARS))
+    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
+    parser.add_argument("--schedule", default="short", help="of params.yaml")
+    parser.add_argument("--at-once", type=int, default=2, help="fits at a time")
+    arguments = parser.parse_args(words)
+    arguments.scenes = {
+        name: Path(folder) for name, _, folder in (word.partition("=") for word in arguments.scenes)
+    }
+    return arguments
+
+
+if __name__ == "__main__":
+    main(_arguments())
