@@ -145,24 +145,31 @@ def row_of(cell: Cell, observations: Path, schedule_name: str) -> dict[str, Any]
     }  # fmt: skip
 
 
-def mean_scores(rows: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str], dict[Any, float]]:
-    """By avatar and motion, and by settings: the mean over scenes of those that all have."""
-    scenes = {row["scene"] for row in rows}
-    scores: dict[tuple[str, str], dict[Any, dict[str, float]]] = {}
+def scenes_of(rows: Sequence[Mapping[str, Any]], avatar: str, motion: str) -> list[str]:
+    """The scenes that an avatar with a motion was searched on."""
+    return sorted(
+        {row["scene"] for row in rows if (row["avatar"], row["motion"]) == (avatar, motion)}
+    )
+
+
+def mean_scores(
+    rows: Sequence[Mapping[str, Any]], avatar: str, motion: str
+) -> dict[tuple[float, ...], float]:
+    """By settings: the mean over an avatar's and a motion's scenes, of settings that all have."""
+    scores: dict[tuple[float, ...], dict[str, float]] = {}
     for row in rows:
         cell = Cell.of(row)
-        of_pair = scores.setdefault((cell.avatar, cell.motion), {})
-        of_pair.setdefault(cell.settings, {})[cell.scene] = row["psnr_validation"]
-    return {
-        pair: {key: fmean(one.values()) for key, one in known.items() if set(one) == scenes}
-        for pair, known in scores.items()
-    }
+        if (cell.avatar, cell.motion) == (avatar, motion):
+            scores.setdefault(cell.settings, {})[cell.scene] = row["psnr_validation"]
+    count = len(scenes_of(rows, avatar, motion))
+    return {key: fmean(one.values()) for key, one in scores.items() if len(one) == count}
 
 
 def record_of(rows: Sequence[Mapping[str, Any]], schedule_name: str) -> dict[str, Any]:
-    """The rows, and for every avatar and motion what its search brought, dB over all scenes."""
+    """The rows, and for every avatar and motion what its search brought, dB over its scenes."""
     searches = []
-    for (avatar, motion), scores in sorted(mean_scores(rows).items()):
+    for avatar, motion in sorted({(row["avatar"], row["motion"]) for row in rows}):
+        scores = mean_scores(rows, avatar, motion)
         own = own_settings(*recipe_and_method(avatar, motion))
         singles = [tuple(settings.values()) for settings in one_at_a_time(own)]
         if not set(singles) <= set(scores):
@@ -171,7 +178,8 @@ def record_of(rows: Sequence[Mapping[str, Any]], schedule_name: str) -> dict[str
         together = best_together(own, scores)
         found = scores.get(tuple(together.values()))
         searches.append({
-            "avatar": avatar, "motion": motion, "fits": len(scores), "own": own,
+            "avatar": avatar, "motion": motion, "scenes": scenes_of(rows, avatar, motion),
+            "fits": len(scores), "own": own,
             "psnr_validation": round(here, 4),
             "gain_of": {
                 f"{name} {value:g}": round(scores[tuple({**own, name: value}.values())] - here, 4)
@@ -188,12 +196,11 @@ def record_of(rows: Sequence[Mapping[str, Any]], schedule_name: str) -> dict[str
 
 def wanted(arguments: argparse.Namespace, rows: Sequence[Mapping[str, Any]]) -> list[Cell]:
     """The cells that can be fitted now: single changes first, then the best of them together."""
-    means = mean_scores(rows)
     cells = []
     for avatar, motion in product(arguments.avatars, arguments.motions):
         own = own_settings(*recipe_and_method(avatar, motion))
         settings = [tuple(one.values()) for one in one_at_a_time(own)]
-        scores = means.get((avatar, motion), {})
+        scores = mean_scores(rows, avatar, motion)
         if set(settings) <= set(scores):
             settings.append(tuple(best_together(own, scores).values()))
         cells += [

@@ -129,3 +129,15 @@ def test_a_row_is_of_the_settings_asked_for(monkeypatch, filmed, tmp_path):
     ]  # fmt: skip
     assert [one["settings"] for one in rows] == [own, fast]
     assert rows[0]["psnr_validation"] != rows[1]["psnr_validation"]
+
+
+def test_a_search_counts_its_own_scenes_whatever_others_were_searched_on():
+    rows = [
+        row(scene, one, level, motion)
+        for motion, scenes in (("paper", {"a": 30.0}), ("clip", {"a": 31.0, "b": 21.0}))
+        for scene, level in scenes.items()
+        for one in one_at_a_time(own_settings(*recipe_and_method("plain", motion)))
+    ]
+    clip, paper = record_of(rows, "short")["searches"]
+    assert (clip["motion"], clip["scenes"], clip["psnr_validation"]) == ("clip", ["a", "b"], 26.0)
+    assert (paper["motion"], paper["scenes"], paper["psnr_validation"]) == ("paper", ["a"], 30.0)
