@@ -16,6 +16,7 @@ import json
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from statistics import fmean
@@ -24,7 +25,7 @@ from typing import Any
 import torch
 
 from benchmarks.rasterizer import machine
-from benchmarks.time_to_quality import PARAMS, fitted
+from benchmarks.time_to_quality import PARAMS, fitted, settings_of
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import load_params
@@ -63,14 +64,6 @@ class Cell:
         """What a row of a record is of."""
         settings = tuple(row["settings"][name] for name in GRID)
         return cls(row["scene"], row["avatar"], row["motion"], settings)
-
-
-def recipe_and_method(avatar: str, motion: str) -> tuple[RecipeParams, MethodParams]:
-    """What `params.yaml` has for an avatar and a motion."""
-    return (
-        load_params(PARAMS, f"avatars.{AVATARS[avatar]}", RecipeParams),
-        load_params(PARAMS, f"methods.{MOTIONS[motion]}", MethodParams),
-    )
 
 
 def own_settings(recipe: RecipeParams, method: MethodParams) -> dict[str, float]:
@@ -126,18 +119,20 @@ def best_together(own: Settings, scores: Mapping[tuple[float, ...], float]) -> d
     }
 
 
-def row_of(cell: Cell, observations: Path, schedule_name: str) -> dict[str, Any]:
+def row_of(cell: Cell, scenes: Mapping[str, Path], schedule_name: str) -> dict[str, Any]:
     """Fit one cell, and score its validation frames."""
     torch.set_num_threads(1)
     settings = dict(zip(GRID, cell.settings, strict=True))
-    recipe, method = with_settings(*recipe_and_method(cell.avatar, cell.motion), settings)
-    seen = Observations.load(observations)
+    recipe, method = with_settings(
+        *settings_of(MOTIONS[cell.motion], AVATARS[cell.avatar]), settings
+    )
+    seen = Observations.load(scenes[cell.scene])
     schedule = load_params(PARAMS, f"schedules.{schedule_name}", ScheduleParams)
     last = fitted(seen, recipe, method, schedule, frozenset())[-1]
     model = avatar_from_artifact(last.avatar, seen.body, chosen_device())
     score = mean_reblur_psnr(model, seen, last.motion, seen.validation)
     if score is None:
-        raise SystemExit(f"{observations}: no frame is set aside for validation")
+        raise SystemExit(f"{scenes[cell.scene]}: no frame is set aside for validation")
     return {
         "scene": cell.scene, "avatar": cell.avatar, "motion": cell.motion, "settings": settings,
         "psnr_validation": round(score, 4), "gaussians": len(last.avatar.means),
@@ -170,7 +165,7 @@ def record_of(rows: Sequence[Mapping[str, Any]], schedule_name: str) -> dict[str
     searches = []
     for avatar, motion in sorted({(row["avatar"], row["motion"]) for row in rows}):
         scores = mean_scores(rows, avatar, motion)
-        own = own_settings(*recipe_and_method(avatar, motion))
+        own = own_settings(*settings_of(MOTIONS[motion], AVATARS[avatar]))
         singles = [tuple(settings.values()) for settings in one_at_a_time(own)]
         if not set(singles) <= set(scores):
             continue
@@ -198,7 +193,7 @@ def wanted(arguments: argparse.Namespace, rows: Sequence[Mapping[str, Any]]) -> 
     """The cells that can be fitted now: single changes first, then the best of them together."""
     cells = []
     for avatar, motion in product(arguments.avatars, arguments.motions):
-        own = own_settings(*recipe_and_method(avatar, motion))
+        own = own_settings(*settings_of(MOTIONS[motion], AVATARS[avatar]))
         settings = [tuple(one.values()) for one in one_at_a_time(own)]
         scores = mean_scores(rows, avatar, motion)
         if set(settings) <= set(scores):
@@ -210,18 +205,19 @@ def wanted(arguments: argparse.Namespace, rows: Sequence[Mapping[str, Any]]) -> 
     return [cell for cell in cells if cell not in done]
 
 
-def _row(task: tuple[Cell, Path, str]) -> dict[str, Any]:
-    return row_of(*task)
-
-
 def main(arguments: argparse.Namespace) -> None:
     """Fit, print, write."""
     path: Path | None = arguments.json
-    rows = json.loads(path.read_text())["rows"] if path and path.exists() else []
+    known = json.loads(path.read_text()) if path and path.exists() else {}
+    if known.get("schedule", arguments.schedule) != arguments.schedule:
+        raise SystemExit(
+            f"{path} is of the schedule {known['schedule']}: give another file, --json"
+        )
+    rows = known.get("rows", [])
+    fit = partial(row_of, scenes=arguments.scenes, schedule_name=arguments.schedule)
     with multiprocessing.get_context("spawn").Pool(arguments.at_once) as pool:
         while cells := wanted(arguments, rows):
-            tasks = [(cell, arguments.scenes[cell.scene], arguments.schedule) for cell in cells]
-            for row in pool.imap_unordered(_row, tasks):
+            for row in pool.imap_unordered(fit, cells):
                 rows.append(row)
                 print(json.dumps(row), flush=True)
                 if path:

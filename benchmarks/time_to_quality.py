@@ -94,10 +94,10 @@ def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
     return Observations.load(place / "observations"), Reference.load(place / "reference")
 
 
-def settings_of(method: str) -> tuple[RecipeParams, MethodParams]:
-    """What `params.yaml` has for a method: its avatar's recipe, and its motion."""
+def settings_of(method: str, avatar: str | None = None) -> tuple[RecipeParams, MethodParams]:
+    """What `params.yaml` has for a method, and for an avatar, the method's own unless told."""
     return (
-        load_params(PARAMS, f"avatars.{AVATARS[method]}", RecipeParams),
+        load_params(PARAMS, f"avatars.{avatar or AVATARS[method]}", RecipeParams),
         load_params(PARAMS, f"methods.{method}", MethodParams),
     )
 

@@ -2,22 +2,14 @@
 
 from pathlib import Path
 
-import pytest
-
 from benchmarks import gaussian_count as module
 from benchmarks.gaussian_count import chart, record_of, row_of
 from deblur_avatar.reporting.charts import drawn
 from deblur_avatar.training.schedule import ScheduleParams
 
-ROOT = Path(__file__).parents[2]
 SCHEDULE = ScheduleParams(
     warmup=2, trajectory=4, fusion=6, gaussians=1000, image_height=24, levels=()
 )
-
-
-@pytest.fixture(autouse=True)
-def _in_the_repository(monkeypatch):
-    monkeypatch.chdir(ROOT)
 
 
 def row(asked: int, seen: float) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Tests of the search for settings: one grid for all, what is fitted next, what is best."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,26 +12,22 @@ from benchmarks.settings_search import (
     GRID,
     MOTIONS,
     Cell,
+    _arguments,
     best_together,
+    main,
     one_at_a_time,
     own_settings,
-    recipe_and_method,
     record_of,
     row_of,
     wanted,
     with_settings,
 )
+from benchmarks.time_to_quality import settings_of
 from deblur_avatar.training.schedule import ScheduleParams
 
-ROOT = Path(__file__).parents[2]
 SCHEDULE = ScheduleParams(
     warmup=2, trajectory=4, fusion=6, gaussians=40, image_height=24, levels=()
 )
-
-
-@pytest.fixture(autouse=True)
-def _in_the_repository(monkeypatch):
-    monkeypatch.chdir(ROOT)
 
 
 def row(scene, settings, score, motion="paper"):
@@ -49,7 +46,7 @@ def asked(scenes=("a", "b"), motions=("paper",)):
 @pytest.mark.parametrize("avatar", AVATARS)
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_every_search_has_the_same_values_and_as_many_fits(avatar, motion):
-    own = own_settings(*recipe_and_method(avatar, motion))
+    own = own_settings(*settings_of(MOTIONS[motion], AVATARS[avatar]))
     assert list(own) == list(GRID)
     assert all(own[name] in values for name, values in GRID.items())
     fits = list(one_at_a_time(own))
@@ -60,7 +57,7 @@ def test_every_search_has_the_same_values_and_as_many_fits(avatar, motion):
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_other_settings_are_what_is_fitted_and_nothing_else_changes(motion):
-    recipe, method = recipe_and_method("networks", motion)
+    recipe, method = settings_of(MOTIONS[motion], AVATARS["networks"])
     settings = {"features": 0.02, "max_growth": 2.0, "transl": 1e-3, "poses": 1e-2}
     others = with_settings(recipe, method, settings)
     assert own_settings(*others) == settings
@@ -68,7 +65,7 @@ def test_other_settings_are_what_is_fitted_and_nothing_else_changes(motion):
 
 
 def test_the_best_value_of_each_setting_is_taken():
-    own = own_settings(*recipe_and_method("plain", "paper"))
+    own = own_settings(*settings_of("paper", "lean"))
     scores = {tuple(one.values()): 30.0 for one in one_at_a_time(own)}
     scores[tuple({**own, "poses": 1.0e-2}.values())] = 30.4
     scores[tuple({**own, "features": 5.0e-3}.values())] = 30.1
@@ -77,7 +74,7 @@ def test_the_best_value_of_each_setting_is_taken():
 
 
 def test_the_best_together_is_fitted_once_all_single_changes_are_known():
-    own = own_settings(*recipe_and_method("plain", "paper"))
+    own = own_settings(*settings_of("paper", "lean"))
     first = wanted(asked(), [])
     assert len(first) == 2 * 9
     rows = [
@@ -97,7 +94,7 @@ def test_the_best_together_is_fitted_once_all_single_changes_are_known():
 
 
 def test_a_search_says_what_each_change_brings_over_all_scenes():
-    own = own_settings(*recipe_and_method("plain", "paper"))
+    own = own_settings(*settings_of("paper", "lean"))
     better = {**own, "poses": 3.0e-3}
     rows = [
         row(scene, one, level + gain * (one == better))
@@ -120,11 +117,11 @@ def test_a_row_is_of_the_settings_asked_for(monkeypatch, filmed, tmp_path):
         module, "load_params",
         lambda path, key, kind: SCHEDULE if kind is ScheduleParams else load(path, key, kind),
     )  # fmt: skip
-    own = own_settings(*recipe_and_method("plain", "agnostic"))
+    own = own_settings(*settings_of("agnostic", "lean"))
     fast = {**own, "features": 1.0e-3}
     rows = [
         row_of(
-            Cell("a", "plain", "agnostic", tuple(one.values())), tmp_path / "seen", "short"
+            Cell("a", "plain", "agnostic", tuple(one.values())), {"a": tmp_path / "seen"}, "short"
         ) for one in (own, fast)
     ]  # fmt: skip
     assert [one["settings"] for one in rows] == [own, fast]
@@ -136,8 +133,15 @@ def test_a_search_counts_its_own_scenes_whatever_others_were_searched_on():
         row(scene, one, level, motion)
         for motion, scenes in (("paper", {"a": 30.0}), ("clip", {"a": 31.0, "b": 21.0}))
         for scene, level in scenes.items()
-        for one in one_at_a_time(own_settings(*recipe_and_method("plain", motion)))
+        for one in one_at_a_time(own_settings(*settings_of(MOTIONS[motion], AVATARS["plain"])))
     ]
     clip, paper = record_of(rows, "short")["searches"]
     assert (clip["motion"], clip["scenes"], clip["psnr_validation"]) == ("clip", ["a", "b"], 26.0)
     assert (paper["motion"], paper["scenes"], paper["psnr_validation"]) == ("paper", ["a"], 30.0)
+
+
+def test_a_record_of_another_schedule_is_not_gone_on_with(tmp_path):
+    path = tmp_path / "record.json"
+    path.write_text(json.dumps({"schedule": "medium", "rows": []}))
+    with pytest.raises(SystemExit, match=r"record\.json is of the schedule medium"):
+        main(_arguments(["--json", str(path), "--scenes", f"a={tmp_path}"]))

@@ -18,8 +18,7 @@ SCHEDULE = ScheduleParams(
 
 
 @pytest.fixture(autouse=True)
-def _in_the_repository(monkeypatch):
-    monkeypatch.chdir(ROOT)
+def _on_the_processor(monkeypatch):
     monkeypatch.setenv("DEBLUR_AVATAR_DEVICE", "cpu")
 
 
