@@ -6,7 +6,7 @@ that no homography explains, and only such frames tell where cameras stood (Hart
 2004, 11.9.2; the choice between both models by their inliers: Schönberger and Frahm 2016, 4.1).
 """
 
-from itertools import pairwise
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -38,12 +38,14 @@ def has_parallax(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"
     chosen = np.linspace(0, len(frames) - 1, min(SAMPLES, len(frames))).round().astype(int)
     detector = sift()
     found = [background_features(frames[i], mattes[i], detector) for i in chosen]
-    for index, key in enumerate(found):
-        for other in found[index + 1 :]:
-            pair = matches(key, other)
-            if pair is not None and not explained_by_a_homography(*pair):
-                return True
-    return any(matches(key, other) is None for key, other in pairwise(found))
+    unmatched = False  # of neighbours
+    for (before, key), (after, other) in combinations(enumerate(found), 2):
+        pair = matches(key, other)
+        if pair is None:
+            unmatched |= after == before + 1
+        elif not explained_by_a_homography(*pair):
+            return True
+    return unmatched
 
 
 def explained_by_a_homography(
