@@ -37,7 +37,7 @@ from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.comparisons import true_poses
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.imaging.backgrounds import background_of
+from deblur_avatar.imaging.backgrounds import BackgroundEstimator
 from deblur_avatar.imaging.matting import trim_mattes
 
 SMALLER = "as estimated, smaller pose model"
@@ -77,7 +77,7 @@ def detected(clip: BlurryClip, model: PoseModel) -> Landmarks:
     """The person as `preprocess` finds her, mattes trimmed where the background is known."""
     frames = clip.frames[0]
     person, _ = detect_main_person(frames, partial(detect_with_mediapipe, model=model))
-    background = background_of("auto", frames, person.mattes)
+    background = BackgroundEstimator(frames).background("auto", person.mattes)
     if background.plates is None:
         return person
     return replace(person, mattes=trim_mattes(frames, person.mattes, background.plates))

@@ -155,7 +155,8 @@ def _show(home: Home, name: str, run: str) -> None:
     logger.info("The self-check: %s/data/self_check/%s/index.html", folder, run)
     logger.info("The report:   %s/reports/index.html", folder)
     _show_page(folder, run)
-    _tell_verdict(folder / "metrics/self_check" / f"{run}.json")
+    metrics = folder / "metrics"
+    _tell_verdict(metrics / f"check/{name}.json", metrics / f"self_check/{run}.json")
 
 
 def _show_page(folder: Path, run: str) -> None:
@@ -168,15 +169,19 @@ def _show_page(folder: Path, run: str) -> None:
         logger.info("No page: an avatar with networks fits on none; --method lean makes one")
 
 
-def _tell_verdict(path: Path) -> None:
-    """The self-check's verdict in a sentence, last, so that nobody misses it."""
-    content = read_findings(path)
-    failed = failures(content)
-    for sentence in failed:
-        logger.warning("FAILED: %s", sentence)
+def _tell_verdict(before: Path, after: Path) -> None:
+    """What failed before and after fitting; the verdict last, in a sentence that nobody misses."""
+    told = {"check": read_findings(before), "self-check": read_findings(after)}
+    failed = [what for what, content in told.items() if failures(content)]
+    for what in failed:
+        for sentence in failures(told[what]):
+            logger.warning("FAILED %s: %s", what, sentence)
+    verdict = told["self-check"]["verdict"]
     if failed:
-        logger.warning("The avatar FAILS its self-check: do not trust what it shows.")
-    elif content["verdict"] == "unknown":
+        logger.warning(
+            "The avatar FAILS its %s: do not trust what it shows.", " and its ".join(failed)
+        )
+    elif verdict == "unknown":
         logger.warning("The self-check could measure nothing: look before you trust what it shows.")
     else:
-        logger.info("The avatar passes its self-check (%s).", content["verdict"])
+        logger.info("The avatar passes its self-check (%s).", verdict)

@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
 
 logger = logging.getLogger(__name__)
+
+# Findings about the worst part of the body: where a check lists the parts, and which is the worst.
+_WORST_PART = {"worst_part_inside": ("parts", min), "worst_part_open": ("open", max)}
+_BONES = {"shoulder": "upper arm", "elbow": "forearm", "hip": "thigh", "knee": "shin"}
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,14 @@ class Finding:
     unit: str
     verdict: str
     advice: str
+
+
+class _Written(BaseModel):
+    """What a check's file holds, as far as it is told of."""
+
+    findings: dict[str, Finding]
+    parts: dict[str, float | None] = {}
+    open: dict[str, float | None] = {}
 
 
 class Scale(NamedTuple):
@@ -63,7 +75,7 @@ def tell(what: str, content: Mapping[str, Any]) -> None:
     for name, finding in content["findings"].items():
         if finding["verdict"] in ("warn", "fail"):
             logger.warning(
-                "%s %s: %s %s %s. %s", finding["verdict"].upper(), what, name.replace("_", " "),
+                "%s %s: %s %s %s. %s", finding["verdict"].upper(), what, _subject(name, content),
                 _said(finding["value"], 3), finding["unit"], finding["advice"],
             )  # fmt: skip
     logger.info("check %s: %s", what, content["verdict"])
@@ -72,11 +84,22 @@ def tell(what: str, content: Mapping[str, Any]) -> None:
 def failures(content: Mapping[str, Any]) -> list[str]:
     """What failed, a sentence each: the finding, its number, what to do."""
     return [
-        f"{name.replace('_', ' ').capitalize()}: {_said(finding['value'], 2)} ({finding['unit']}). "
-        f"{finding['advice']}"
+        f"{_subject(name, content).capitalize()}: {_said(finding['value'], 2)} "
+        f"({finding['unit']}). {finding['advice']}"
         for name, finding in content["findings"].items()
         if finding["verdict"] == "fail"
     ]
+
+
+def _subject(name: str, content: Mapping[str, Any]) -> str:
+    """A finding's name in words, with the part of the body that it is about."""
+    words = name.replace("_", " ")
+    listed, choose = _WORST_PART.get(name, ("", max))
+    parts = {n: share for n, share in content.get(listed, {}).items() if share is not None}
+    if not parts:
+        return words
+    side, _, bone = choose(parts, key=parts.__getitem__).partition("_")
+    return f"{words} ({' '.join(filter(None, (side, _BONES.get(bone, bone))))})"
 
 
 def _said(value: float | None, digits: int) -> str:
@@ -91,10 +114,10 @@ def read_findings(path: Path) -> dict[str, Any]:
     """
     content = run.read_json(path)
     try:
-        TypeAdapter(dict[str, Finding]).validate_python(content.get("findings"))
+        _Written.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(map(str, ("findings", *first["loc"])))
+        where = ".".join(map(str, first["loc"]))
         raise ArtifactError(
             f"{path} is damaged: {where}: {first['msg']}; run `dvc repro`"
         ) from None

@@ -19,10 +19,9 @@ from torch import Tensor
 from deblur_avatar.imaging.background_features import (
     FEWEST,
     Features,
-    background_features,
+    FrameFeatures,
     matched_scale,
     matches,
-    sift,
 )
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
@@ -44,15 +43,20 @@ class Alignment(NamedTuple):
 
 
 def aligned_plates(
-    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
+    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"], features: FrameFeatures
 ) -> list[Plate] | None:
     """The background behind the person in each frame of a moving camera.
+
+    Args:
+        frames: of one camera.
+        mattes: of the person.
+        features: of these frames.
 
     Returns:
         One plate a frame, each known only where it agrees with the frame around; None if the frames
         cannot be aligned.
     """
-    alignment = align_frames(frames, mattes)
+    alignment = align_frames(features, mattes)
     if alignment is None:
         return None
 
@@ -64,17 +68,14 @@ def aligned_plates(
     return [believed(*seen) for seen in zip(frames, mattes, plates, strict=True)]
 
 
-def align_frames(
-    frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
-) -> Alignment | None:
+def align_frames(features: FrameFeatures, mattes: UInt8[Tensor, "F H W"]) -> Alignment | None:
     """Homographies of all frames into one mosaic; None if one cannot be found.
 
     Each frame is matched with the last keyframe; where too little of that is left in sight, the
     frame before becomes the next keyframe.
     """
     height, width = mattes.shape[1:]
-    scale, detector = matched_scale(height, width), sift()
-    found = [background_features(*seen, detector) for seen in zip(frames, mattes, strict=True)]
+    scale, found = matched_scale(height, width), features.beside(mattes)
     placed: list[np.ndarray] = [np.eye(3)]
     key, most = 0, 0
     for index in range(1, len(found)):

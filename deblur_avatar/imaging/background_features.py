@@ -1,9 +1,10 @@
 """Features of the background, and which of them two frames share.
 
-SIFT (Lowe 2004) on what is surely not the person, at most `MATCHED_WIDTH` pixels wide; places are
-in pixels of the picture at that size.
+SIFT (Lowe 2004) at most `MATCHED_WIDTH` pixels wide; places are in pixels of the picture at that
+size. A frame's features are found once, and those on the person left out for each of its mattes.
 """
 
+from functools import cached_property
 from typing import NamedTuple
 
 import cv2
@@ -23,7 +24,7 @@ class Features(NamedTuple):
     """Where features are in one frame, and what they look like."""
 
     places: Float[np.ndarray, "N 2"]
-    descriptors: Float[np.ndarray, "N 128"] | None  # None without any
+    descriptors: UInt8[np.ndarray, "N 128"]
 
 
 def matched_scale(height: int, width: int) -> float:
@@ -31,37 +32,52 @@ def matched_scale(height: int, width: int) -> float:
     return min(1.0, MATCHED_WIDTH / max(width, height))
 
 
-def background_features(
-    frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], detector: cv2.Feature2D
-) -> Features:
-    """Features of what is not the person, by a detector that `sift()` made."""
+class FrameFeatures:
+    """Features of one camera's frames, found when they are first asked for."""
+
+    def __init__(self, frames: UInt8[Tensor, "F H W 3"]) -> None:
+        self._frames = frames
+
+    @cached_property
+    def _found(self) -> list[Features]:
+        detector: cv2.Feature2D = cv2.SIFT_create(FEATURES)  # type: ignore[attr-defined]
+        return [_features(frame, detector) for frame in self._frames]
+
+    def beside(self, mattes: UInt8[Tensor, "F H W"]) -> list[Features]:
+        """Those of each frame that are surely not on the person."""
+        return [_beside(*seen) for seen in zip(self._found, mattes, strict=True)]
+
+
+def _features(frame: UInt8[Tensor, "H W 3"], detector: cv2.Feature2D) -> Features:
     grey: np.ndarray = cv2.cvtColor(frame.numpy(), cv2.COLOR_RGB2GRAY)
-    mask: np.ndarray = background_mask(matte).numpy().astype(np.uint8)
     scale = matched_scale(*grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        mask = cv2.resize(mask, (grey.shape[1], grey.shape[0]), interpolation=cv2.INTER_NEAREST)
-    points, descriptors = detector.detectAndCompute(grey, mask)
-    return Features(
-        np.array([point.pt for point in points], np.float32).reshape(-1, 2), descriptors
-    )
+    points, descriptors = detector.detectAndCompute(grey, None)
+    if descriptors is None:
+        descriptors = np.zeros((0, 128))
+    places = np.array([point.pt for point in points], np.float32).reshape(-1, 2)
+    return Features(places, descriptors.astype(np.uint8))  # SIFT's are whole numbers to 255
 
 
-def sift() -> cv2.Feature2D:
-    """What finds features."""
-    detector: cv2.Feature2D = cv2.SIFT_create(FEATURES)  # type: ignore[attr-defined]
-    return detector
+def _beside(found: Features, matte: UInt8[Tensor, "H W"]) -> Features:
+    mask: np.ndarray = background_mask(matte).numpy().astype(np.uint8)
+    scale = matched_scale(*mask.shape)
+    if scale < 1:
+        mask = cv2.resize(mask, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    column, row = (found.places + 0.5).astype(int).T
+    bare = mask[row, column] > 0
+    return Features(found.places[bare], found.descriptors[bare])
 
 
 def matches(
     key: Features, other: Features
 ) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, "N 2"]] | None:
     """Places of the same features in two frames, the other's first; None if they are too few."""
-    if key.descriptors is None or other.descriptors is None:
-        return None
     if min(len(key.places), len(other.places)) < FEWEST:
         return None
-    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(other.descriptors, key.descriptors, k=2)
+    described, known = (found.descriptors.astype(np.float32) for found in (other, key))
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(described, known, k=2)
     good = [pair[0] for pair in pairs if pair[0].distance < RATIO * pair[-1].distance]
     if len(good) < FEWEST:
         return None

@@ -16,6 +16,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.aligned_plates import aligned_plates, believed
+from deblur_avatar.imaging.background_features import FrameFeatures
 from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.imaging.matting import Plate, background_plate, no_plate
 from deblur_avatar.imaging.plate_light import plates_in_their_light
@@ -38,36 +39,42 @@ class Background(NamedTuple):
         return list({id(plate): plate for plate in self.plates or []}.values())
 
 
-def background_of(
-    kind: BackgroundKind, frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]
-) -> Background:
-    """Estimate the background of one camera's frames; `auto` is settled by what they show."""
-    if kind == "none":
-        return Background(kind, None)
-    if kind == "auto":
-        travel = background_travel(frames, mattes)
-        if travel is not None and travel < STILL:
-            logger.info("the camera stands still: one background for all frames")
-            kind = "median"
-        else:
-            kind = "aligned"
-    if kind == "median":
-        return Background(kind, _still_plates(frames, mattes))
-    if kind == "aligned":
-        plates = aligned_plates(frames, mattes)
-        share = 0.0 if plates is None else _known_share(plates, mattes)
-        if plates is not None and share >= KNOWN_SHARE:
-            logger.info(
-                "the camera moves: aligned frames show %.0f %% of the background around the person",
+class BackgroundEstimator:
+    """Estimates what is behind the person in one camera's frames, for any mattes of hers."""
+
+    def __init__(self, frames: UInt8[Tensor, "F H W 3"]) -> None:
+        self._frames = frames
+        self._features = FrameFeatures(frames)
+
+    def background(self, kind: BackgroundKind, mattes: UInt8[Tensor, "F H W"]) -> Background:
+        """The background of the frames; `auto` is settled by what they show."""
+        if kind == "none":
+            return Background(kind, None)
+        if kind == "auto":
+            travel = background_travel(self._frames, mattes)
+            if travel is not None and travel < STILL:
+                logger.info("the camera stands still: one background for all frames")
+                kind = "median"
+            else:
+                kind = "aligned"
+        if kind == "median":
+            return Background(kind, _still_plates(self._frames, mattes))
+        if kind == "aligned":
+            plates = aligned_plates(self._frames, mattes, self._features)
+            share = 0.0 if plates is None else _known_share(plates, mattes)
+            if plates is not None and share >= KNOWN_SHARE:
+                logger.info(
+                    "the camera moves: aligned frames show %.0f %% of the background around the "
+                    "person",
+                    100 * share,
+                )
+                return Background("aligned", plates)
+            logger.warning(
+                "the background cannot be measured (aligned frames show %.0f %% of it around the "
+                "person): pixels are taken as the mattes say, and edges of mattes are not compared",
                 100 * share,
             )
-            return Background("aligned", plates)
-        logger.warning(
-            "the background cannot be measured (aligned frames show %.0f %% of it around the "
-            "person): pixels are taken as the mattes say, and edges of mattes are not compared",
-            100 * share,
-        )
-    return Background("matte", [no_plate(matte) for matte in mattes])
+        return Background("matte", [no_plate(matte) for matte in mattes])
 
 
 def _still_plates(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]) -> list[Plate]:

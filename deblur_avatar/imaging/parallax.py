@@ -13,12 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from deblur_avatar.imaging.background_features import (
-    FEWEST,
-    background_features,
-    matches,
-    sift,
-)
+from deblur_avatar.imaging.background_features import FEWEST, FrameFeatures, matches
 
 SAMPLES = 5  # frames, each compared with each
 HOMOGRAPHY_PIXELS = 2.0  # from where a homography puts a feature, still an inlier
@@ -36,8 +31,7 @@ def has_parallax(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"
         True also where too little can be matched to tell: nothing is ruled out by it.
     """
     chosen = np.linspace(0, len(frames) - 1, min(SAMPLES, len(frames))).round().astype(int)
-    detector = sift()
-    found = [background_features(frames[i], mattes[i], detector) for i in chosen]
+    found = FrameFeatures(frames[chosen]).beside(mattes[chosen])
     unmatched = False  # of neighbours
     for (before, key), (after, other) in combinations(enumerate(found), 2):
         pair = matches(key, other)

@@ -35,7 +35,7 @@ from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.config.section import NonNegative, Params, Positive
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.imaging.backgrounds import Background, BackgroundKind, background_of
+from deblur_avatar.imaging.backgrounds import Background, BackgroundEstimator, BackgroundKind
 from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
 from deblur_avatar.imaging.matting import (
     comparable_pixels,
@@ -115,8 +115,10 @@ def preprocess(
     clip = straightened(clip)
     row = clip.recorded.index(clip.train_camera)
     people, kind = cast(list[Landmarks], []), params.background
+    scenes = [BackgroundEstimator(frames) for frames in clip.frames]
     if params.masks != "given" or params.poses == "estimated":
-        people, kind = _without_background(clip, row, kind, _people(clip, params, detect))
+        people = _people(clip, params, detect)
+        people, kind = _without_background(clip, row, kind, people, scenes)
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
@@ -127,7 +129,7 @@ def preprocess(
         )
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
     crops, cameras = person_crops(clip.cameras, body, track.poses, params.margin, image_height)
-    background = background_of(kind, clip.frames[row], mattes)
+    background = scenes[row].background(kind, mattes)
     if params.masks == "swept":
         mattes = swept_mattes(mattes, clip, body, track.poses)
     width, height = cameras.sizes[clip.train_camera].tolist()
@@ -287,14 +289,19 @@ def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) 
 
 
 def _without_background(
-    clip: BlurryClip, row: int, kind: BackgroundKind, people: list[Landmarks]
+    clip: BlurryClip,
+    row: int,
+    kind: BackgroundKind,
+    people: list[Landmarks],
+    scenes: list[BackgroundEstimator],
 ) -> tuple[list[Landmarks], BackgroundKind]:
     """Every camera's mattes trimmed; the training camera settles the kind for all of them."""
-    settled = background_of(kind, clip.frames[row], people[row].mattes)
+    settled = scenes[row].background(kind, people[row].mattes)
     trimmed = []
     for index, (frames, person) in enumerate(zip(clip.frames, people, strict=True)):
-        own = index == row
-        background = settled if own else background_of(settled.kind, frames, person.mattes)
+        background = settled
+        if index != row:
+            background = scenes[index].background(settled.kind, person.mattes)
         trimmed.append(_trimmed(frames, person, background))
     return trimmed, settled.kind
 
@@ -324,7 +331,7 @@ def _mattes(
     if clip.sharp_frames is None:
         return people[row].mattes, None
     sharp = detect(clip.sharp_frames)
-    background = background_of(kind, clip.sharp_frames, sharp.mattes)
+    background = BackgroundEstimator(clip.sharp_frames).background(kind, sharp.mattes)
     return people[row].mattes, _trimmed(clip.sharp_frames, sharp, background).mattes
 
 

@@ -114,7 +114,7 @@ def make_report(
         runs: by name, `<scene>-<method>`; those without results are left out.
         animated: those that were animated.
         metrics: `<scene>/<method>.json`, and `blur/<scene>.json`, `preprocess/<scene>.json`,
-            `learning_curve/<run>.json`, `self_check/<run>.json`, `cost/<stage>/<item>.json`.
+            `check/<scene>.json`, `learning_curve/<run>.json`, `cost/<stage>/<item>.json` and so on.
         pictures: what `evaluate` drew, one folder a run; runs without one have no strip.
         animations: what `animate` drew, one folder a run.
         hidden: scenes of which no picture may be shown, in no page either.
@@ -138,7 +138,7 @@ def make_report(
     page = render_page(
         TEMPLATE,
         headline=_headline(scenes),
-        failed=_failed_self_checks(metrics, runs),
+        failed=_failed_checks(metrics, runs),
         machine=_machine(scenes),
         media=MEDIA,
         charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
@@ -272,11 +272,13 @@ def _is_moment(point: Any) -> bool:
     return isinstance(point, dict) and point.keys() >= MOMENT
 
 
-def _failed_self_checks(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, list[str]]:
-    """What avatars found wrong with themselves, by run."""
-    paths = {name: metrics / "self_check" / f"{name}.json" for name in sorted(runs)}
-    told = {n: failures(read_findings(path)) for n, path in paths.items() if path.exists()}
-    return {name: sentences for name, sentences in told.items() if sentences}
+def _failed_checks(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, list[str]]:
+    """What is wrong with scenes before fitting and with avatars after it; by what fails."""
+    scenes = sorted({run_params.scene for run_params in runs.values()})
+    paths = {f"{name} fails its check": metrics / f"check/{name}.json" for name in scenes}
+    paths |= {f"{n} fails its self-check": metrics / f"self_check/{n}.json" for n in sorted(runs)}
+    told = {what: failures(read_findings(path)) for what, path in paths.items() if path.exists()}
+    return {what: sentences for what, sentences in told.items() if sentences}
 
 
 def _read(path: Path) -> dict[str, Any]:

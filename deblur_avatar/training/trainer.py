@@ -158,10 +158,9 @@ class AvatarFit:
         terms = self.objective.pictures(self._with_gain(index, compared, target), alpha, target)
         terms |= self.objective.regularisers(exposure.instants, step)
         terms |= self.objective.priors(index, instants)
-        total = torch.stack([term.to(self._device) for term in terms.values()]).sum()
-        if self.optimizers.step(step, total):
+        values = torch.stack([term.to(self._device) for term in terms.values()])
+        if self.optimizers.step(step, values.sum()):
             self._densify(step, exposure.instants)
-        values = torch.stack([term.detach().to(self._device) for term in terms.values()])
         return dict(zip(terms, values.tolist(), strict=True))
 
     def cost(self, seconds: float) -> dict[str, Any]:

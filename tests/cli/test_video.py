@@ -458,28 +458,31 @@ def test_a_first_look_is_not_of_an_earlier_fit(root, video, scene, monkeypatch, 
 
 
 @pytest.mark.parametrize(
-    ("value", "last"),
+    ("before", "value", "last"),
     [
-        (0.9, "The avatar passes its self-check"),
-        (0.1, "The avatar FAILS"),
-        (float("nan"), "The avatar FAILS"),
-        (None, "The self-check could measure nothing"),
+        (0.9, 0.9, "The avatar passes its self-check"),
+        (0.9, 0.1, "The avatar FAILS its self-check:"),
+        (0.9, float("nan"), "The avatar FAILS its self-check:"),
+        (0.9, None, "The self-check could measure nothing"),
+        (0.1, 0.9, "The avatar FAILS its check:"),
+        (0.1, 0.1, "The avatar FAILS its check and its self-check:"),
     ],
 )
 @pytest.mark.parametrize("checkout", [True, False])
-def test_the_self_check_has_the_last_word(
-    root, video, tmp_path_factory, monkeypatch, caplog, value, last, checkout
+def test_the_checks_have_the_last_word(
+    root, video, tmp_path_factory, monkeypatch, caplog, before, value, last, checkout
 ):
     here = root if checkout else tmp_path_factory.mktemp("anywhere")
     folder = Path("avatars/anna") if checkout else Path("anna")
     monkeypatch.chdir(here)
 
     def found(word):
-        found = vars(judged(Scale(0.75, 0.5, "IoU", "look at the masks"), value))
-        path = folder / "metrics/self_check/anna-lean.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        content = {"verdict": found["verdict"], "findings": {"coverage_iou": found}}
-        path.write_text(json.dumps(content))
+        for checked, number in (("check/anna", before), ("self_check/anna-lean", value)):
+            found = vars(judged(Scale(0.75, 0.5, "IoU", "look at the masks"), number))
+            path = folder / f"metrics/{checked}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            content = {"verdict": found["verdict"], "findings": {"coverage_iou": found}}
+            path.write_text(json.dumps(content))
         page = folder / "data/export/anna-lean/avatar.html"
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text("anna-lean")

@@ -64,6 +64,36 @@ def test_what_is_bad_is_told_loudly_and_what_is_well_is_not(caplog):
     assert loud == ["FAIL anna: mask iou 0.3 IoU. look at the masks"]
 
 
+@pytest.mark.parametrize(
+    ("name", "listed", "parts", "part"),
+    [
+        (
+            "worst_part_open",
+            "open",
+            {"head": 0.1, "right_elbow": 0.6, "left_hip": 0.2},
+            "right forearm",
+        ),
+        ("worst_part_open", "open", {"head": 0.6, "right_elbow": 0.5, "left_hip": None}, "head"),
+        ("worst_part_inside", "parts", {"left arm": 0.2, "right leg": 0.9}, "left arm"),
+    ],
+)
+def test_the_worst_part_of_the_body_is_named(name, listed, parts, part, caplog, tmp_path):
+    content = {"verdict": "fail", "findings": {name: vars(judged(RISING, 0.6))}, listed: parts}
+    tell("anna", content)
+    words = name.replace("_", " ")
+    assert any(f"anna: {words} ({part}) 0.6" in message for message in caplog.messages)
+    write_json(tmp_path / "anna.json", content)
+    (told,) = failures(read_findings(tmp_path / "anna.json"))
+    assert told.startswith(f"{words.capitalize()} ({part}): 0.6")
+
+
+def test_a_check_that_lists_no_parts_names_none(tmp_path):
+    content = {"findings": {"worst_part_open": vars(judged(RISING, 0.6))}, "open": {}}
+    write_json(tmp_path / "anna.json", content)
+    (told,) = failures(read_findings(tmp_path / "anna.json"))
+    assert told.startswith("Worst part open: 0.6")
+
+
 def test_what_failed_is_said_with_its_number_and_what_to_do(tmp_path):
     findings = {"mask_iou": vars(judged(FALLING, 0.3)), "share": vars(judged(RISING, 0.3))}
     path = tmp_path / "anna.json"
@@ -73,7 +103,14 @@ def test_what_failed_is_said_with_its_number_and_what_to_do(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    ["{", "[]", "{}", '{"findings": 3}', '{"findings": {"a": {"value": "much"}}}'],
+    [
+        "{",
+        "[]",
+        "{}",
+        '{"findings": 3}',
+        '{"findings": {"a": {"value": "much"}}}',
+        '{"findings": {}, "open": 3}',
+    ],
 )
 def test_damaged_findings_are_named(tmp_path, content):
     (tmp_path / "anna.json").write_text(content)

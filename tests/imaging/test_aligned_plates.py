@@ -2,13 +2,18 @@ import numpy as np
 import torch
 
 from deblur_avatar.imaging.aligned_plates import align_frames, aligned_plates
+from deblur_avatar.imaging.background_features import FrameFeatures
 from deblur_avatar.imaging.matting import lift_person
 from tests.imaging.moving_camera import FENCE, SIZE, filmed, wall_from_frame
 
 
+def plates_of(frames, mattes):
+    return aligned_plates(frames, mattes, FrameFeatures(frames))
+
+
 def test_frames_are_aligned_to_less_than_a_pixel_at_the_corners():
     frames, mattes, _ = filmed()
-    alignment = align_frames(frames, mattes)
+    alignment = align_frames(FrameFeatures(frames), mattes)
     assert alignment is not None
     corners = np.array([[0, 0, 1], [SIZE[0], 0, 1], [0, SIZE[1], 1], [*SIZE, 1]], float).T
     for index in (5, 15):
@@ -21,7 +26,7 @@ def test_frames_are_aligned_to_less_than_a_pixel_at_the_corners():
 
 def test_the_background_of_a_moving_camera_is_known_behind_the_person():
     frames, mattes, behind = filmed()
-    plates = aligned_plates(frames, mattes)
+    plates = plates_of(frames, mattes)
     assert plates is not None
     edges = [(matte > 12) & (matte < 243) for matte in mattes]
     known = [plate.known[edge].float().mean() for plate, edge in zip(plates, edges, strict=True)]
@@ -35,7 +40,7 @@ def test_the_background_of_a_moving_camera_is_known_behind_the_person():
 
 def test_a_person_is_lifted_off_a_moving_background():
     frames, mattes, _ = filmed()
-    plates = aligned_plates(frames, mattes)
+    plates = plates_of(frames, mattes)
     assert plates is not None
     lifted = lift_person(frames, mattes, plates, "srgb").float()
     truth = mattes[..., None] / 255 * torch.tensor([30.0, 200.0, 60.0])
@@ -48,7 +53,7 @@ def test_a_person_is_lifted_off_a_moving_background():
 
 def test_where_something_nearer_passes_less_is_taken_for_background():
     frames, mattes, behind = filmed(parallax=9.0)
-    plates = aligned_plates(frames, mattes)
+    plates = plates_of(frames, mattes)
     assert plates is not None
     wrong = []
     for plate, true in zip(plates, behind, strict=True):
@@ -62,18 +67,18 @@ def test_where_something_nearer_passes_less_is_taken_for_background():
 
 def test_a_blank_wall_cannot_be_aligned():
     frames, mattes, _ = filmed(4)
-    assert aligned_plates(torch.full_like(frames, 128), mattes) is None
+    assert plates_of(torch.full_like(frames, 128), mattes) is None
 
 
 def test_frames_of_different_places_cannot_be_aligned():
     frames, mattes, _ = filmed(4)
     frames[2:] = torch.from_numpy(np.random.default_rng(3).integers(0, 255, frames[2:].shape))
-    assert aligned_plates(frames, mattes) is None
+    assert plates_of(frames, mattes) is None
 
 
 def test_the_same_frames_give_the_same_plates():
     frames, mattes, _ = filmed(6)
-    first, second = aligned_plates(frames, mattes), aligned_plates(frames, mattes)
+    first, second = plates_of(frames, mattes), plates_of(frames, mattes)
     assert first is not None
     assert second is not None
     assert all(torch.equal(a.picture, b.picture) for a, b in zip(first, second, strict=True))

@@ -3,7 +3,7 @@ import logging
 import pytest
 import torch
 
-from deblur_avatar.imaging.backgrounds import background_of, matte_edge
+from deblur_avatar.imaging.backgrounds import BackgroundEstimator, matte_edge
 from deblur_avatar.imaging.matting import Plate
 from tests.imaging.moving_camera import filmed, turned
 
@@ -11,7 +11,7 @@ from tests.imaging.moving_camera import filmed, turned
 def test_a_camera_that_stands_still_has_one_plate():
     frames, mattes, _ = filmed(8)
     still = frames[:1].repeat(8, 1, 1, 1)
-    found = background_of("auto", still, mattes)
+    found = BackgroundEstimator(still).background("auto", mattes)
     assert found.kind == "median"
     assert len(found.distinct) == 1
     assert found.plates is not None
@@ -20,7 +20,7 @@ def test_a_camera_that_stands_still_has_one_plate():
 
 def test_a_camera_that_turns_has_a_plate_for_each_frame():
     frames, mattes, _ = filmed()
-    found = background_of("auto", frames, mattes)
+    found = BackgroundEstimator(frames).background("auto", mattes)
     assert found.kind == "aligned"
     assert found.plates is not None
     assert len(found.plates) == len(found.distinct) == len(frames)
@@ -29,7 +29,7 @@ def test_a_camera_that_turns_has_a_plate_for_each_frame():
 @pytest.mark.parametrize(("degrees", "zoom"), [(3.0, 1.0), (0.0, 1.06)])
 def test_a_camera_that_rolls_or_zooms_has_a_plate_for_each_frame(degrees: float, zoom: float):
     frames, mattes, behind = filmed(24, camera=turned(24, degrees, zoom))
-    found = background_of("auto", frames, mattes)
+    found = BackgroundEstimator(frames).background("auto", mattes)
     assert found.kind == "aligned"
     assert found.plates is not None
     assert _plate_error(found.plates, behind) < 2
@@ -38,7 +38,7 @@ def test_a_camera_that_rolls_or_zooms_has_a_plate_for_each_frame(degrees: float,
 def test_masks_without_soft_edges_have_an_edge_too():
     frames, mattes, behind = filmed()
     hard = (mattes > 0).to(torch.uint8) * 255
-    found = background_of("auto", frames, hard)
+    found = BackgroundEstimator(frames).background("auto", hard)
     assert found.kind == "aligned"
     assert found.plates is not None
     assert _plate_error(found.plates, behind) < 8  # as in test_aligned_plates
@@ -74,7 +74,7 @@ def test_a_background_that_cannot_be_measured_is_never_taken_for_the_person(
     frames, mattes, _ = filmed(6)
     noise = torch.randint(0, 255, frames.shape, generator=torch.Generator().manual_seed(0))
     with caplog.at_level(logging.WARNING):
-        found = background_of("auto", noise.to(torch.uint8), mattes)
+        found = BackgroundEstimator(noise.to(torch.uint8)).background("auto", mattes)
     assert found.kind == "matte"
     assert "cannot be measured" in caplog.text
     assert found.plates is not None
@@ -83,6 +83,6 @@ def test_a_background_that_cannot_be_measured_is_never_taken_for_the_person(
 
 def test_nothing_is_taken_away_where_nothing_is_behind():
     frames, mattes, _ = filmed(3)
-    found = background_of("none", frames, mattes)
+    found = BackgroundEstimator(frames).background("none", mattes)
     assert found.plates is None
     assert found.distinct == []

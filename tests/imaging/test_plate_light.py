@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from deblur_avatar.imaging.backgrounds import background_of
+from deblur_avatar.imaging.backgrounds import BackgroundEstimator
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.matting import background_plate
 from deblur_avatar.imaging.plate_light import STEADY, plates_in_their_light, relit
@@ -42,7 +42,7 @@ def moving() -> tuple[Tensor, Tensor, Tensor]:
 def test_a_background_is_as_bright_as_each_frame(film, kind, caplog: pytest.LogCaptureFixture):
     frames, mattes, behind = film()
     with caplog.at_level(logging.INFO):
-        found = background_of("auto", in_light(frames, HUNTING), mattes)
+        found = BackgroundEstimator(in_light(frames, HUNTING)).background("auto", mattes)
     assert found.kind == kind
     assert "each frame's background follows it" in caplog.text
     assert len(found.distinct) == FRAMES
@@ -52,7 +52,7 @@ def test_a_background_is_as_bright_as_each_frame(film, kind, caplog: pytest.LogC
     pictures = torch.stack([plate.picture for plate in found.plates or []])
     assert float(known[edges].float().mean()) > 0.8
     apart = (pictures.float() - true.float()).abs().mean(-1)[edges & known]
-    steady = background_of("auto", frames, mattes).plates or []
+    steady = BackgroundEstimator(frames).background("auto", mattes).plates or []
     alike = torch.stack([plate.picture for plate in steady]).float()
     told = edges & torch.stack([plate.known for plate in steady])
     least = (alike - behind.float()).abs().mean(-1)[told].mean()
@@ -65,7 +65,7 @@ def test_light_that_stays_changes_nothing():
     for stops in (0.0, 0.8 * STEADY):
         light = torch.full((FRAMES, 3), 0.0)
         light[FRAMES // 3] = stops
-        found = background_of("auto", in_light(frames, light), mattes)
+        found = BackgroundEstimator(in_light(frames, light)).background("auto", mattes)
         assert len(found.distinct) == 1
         assert (found.distinct[0].picture.float() - one.picture.float()).abs().max() <= 1
 
@@ -74,7 +74,7 @@ def test_a_single_frame_in_other_light_has_a_plate_in_it():
     frames, mattes, behind = standing()
     light = torch.zeros(FRAMES, 3)
     light[5] = -1.0
-    found = background_of("median", in_light(frames, light), mattes)
+    found = BackgroundEstimator(in_light(frames, light)).background("median", mattes)
     assert found.plates is not None
     plate = found.plates[5]
     apart = (plate.picture.float() - in_light(behind, light)[5].float()).abs()[plate.known]
@@ -90,7 +90,7 @@ def test_where_light_changes_in_a_part_alone_the_background_is_not_known():
     changed = in_light(frames, light)
     left = slice(0, 40)
     changed[12, :, left] = (changed[12, :, left].int() + 60).clamp(max=255).to(torch.uint8)
-    found = background_of("median", changed, mattes)
+    found = BackgroundEstimator(changed).background("median", mattes)
     assert found.plates is not None
     known = found.plates[12].known
     assert float(known[:, 4:36].float().mean()) < 0.1
@@ -103,7 +103,7 @@ def test_a_sky_that_is_white_in_any_light_does_not_hide_the_change():
     lit = in_light(frames, light)
     lit[:, :, 90:] = torch.where(mattes[:, :, 90:, None] > 0, lit[:, :, 90:], 255)
     lit[:, :20] = 255
-    found = background_of("median", lit, mattes)
+    found = BackgroundEstimator(lit).background("median", mattes)
     assert len(found.distinct) == FRAMES
     bare = lit[9][30:110, :30].float()
     assert found.plates is not None

@@ -418,7 +418,7 @@ def test_filmed_scenes_show_what_alignment_of_colours_changes():
     assert "colours aligned" not in " ".join(t.title for t in plain_tables if t)
 
 
-def test_an_avatar_that_fails_its_self_check_is_told_of_on_top(project):
+def test_what_fails_its_check_or_its_self_check_is_told_of_on_top(project):
     good = vars(judged(Scale(0.02, 0.1, "share", "look at the masks"), 0.01))
     bad = vars(judged(Scale(0.02, 0.1, "share", "look at the masks"), 0.3))
     for method, found in (("paper", bad), ("oracle", good)):
@@ -429,6 +429,11 @@ def test_an_avatar_that_fails_its_self_check_is_told_of_on_top(project):
     assert "studio-paper fails its self-check" in before
     assert "Outside filmed: 0.3 (share). look at the masks" in before
     assert "studio-oracle fails" not in page
+    assert "studio fails" not in page
+    content = {"verdict": "fail", "findings": {"person_share": bad}}
+    write_json(project / "metrics/check/studio.json", content)
+    page = made(project).page
+    assert "studio fails its check; do not trust" in page.split('<div class="figures">')[0]
     (project / "metrics/self_check/studio-paper.json").write_text("{}")
     with pytest.raises(ArtifactError, match=r"studio-paper\.json is damaged"):
         made(project)
