@@ -88,6 +88,7 @@ def run(asked: argparse.Namespace) -> int:
     if code == 0:
         with followed_footage(home, name, BODY, contents) as code:
             code = code or reproduce(*_better_poses(home.folder, name), folder=home.folder)
+            code = code or _check(home.folder, name)
             code = code or (_first_look(home, run) if asked.preview else 0)
             code = code or reproduce(*targets(name, asked.method), folder=home.folder)
     if code == 0:
@@ -96,10 +97,21 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def targets(name: str, method: str) -> list[list[str]]:
-    """What to ask DVC for, in order: the check, then everything of the method asked for."""
+    """What to ask DVC for once the check is made, in order: all of the method asked for."""
     run = f"{name}-{method}"
     made = [f"{stage}@{run}" for stage in ("self_check", "export", "animate", "evaluate")]
-    return [[f"check@{name}"], made, ["--single-item", "report"]]
+    return [made, ["--single-item", "report"]]
+
+
+def _check(folder: Path, name: str) -> int:
+    """Make the check, and say so before the long part if it fails; returns DVC's exit code."""
+    code = reproduce([f"check@{name}"], folder=folder)
+    if code == 0 and failures(read_findings(folder / f"metrics/check/{name}.json")):
+        logger.warning(
+            "The clip FAILS its check: look at %s/data/check/%s/index.html. Ctrl-C stops, else it "
+            "goes on", folder, name,
+        )  # fmt: skip
+    return code
 
 
 def _better_poses(folder: Path, name: str) -> list[list[str]]:
@@ -118,14 +130,13 @@ def _better_poses(folder: Path, name: str) -> list[list[str]]:
 
 
 def _first_look(home: Home, run: str) -> int:
-    """Check and warm up, and show what there is then; returns DVC's exit code.
+    """Warm up, and show what there is then; returns DVC's exit code.
 
     The warm-up is an avatar at the given poses, without a model of blur. A stage that was made
     already is not made again, and a page that is newer is left alone.
     """
     on_disk = RunOnDisk(home.folder, run)
-    check, warmup = f"check@{on_disk.run.scene}", f"warmup@{on_disk.warmup}"
-    code = reproduce([check], [warmup], folder=home.folder)
+    code = reproduce([f"warmup@{on_disk.warmup}"], folder=home.folder)
     kept = on_disk.newest_since_warmup() if code == 0 else None
     if kept is None or kept.iteration >= on_disk.schedule.fusion:
         return code
