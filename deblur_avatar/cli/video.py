@@ -188,10 +188,15 @@ def _tell_verdict(before: Path, after: Path) -> None:
         for sentence in failures(told[what]):
             logger.warning("FAILED %s: %s", what, sentence)
     verdict = told["self-check"]["verdict"]
-    if failed:
+    if "self-check" in failed:
         logger.warning(
             "The avatar FAILS its %s: do not trust what it shows.", " and its ".join(failed)
         )
+    elif failed:
+        logger.warning(
+            "The clip FAILS its check, whatever the avatar says of itself (%s): look before you "
+            "trust what it shows.", verdict,
+        )  # fmt: skip
     elif verdict == "unknown":
         logger.warning("The self-check could measure nothing: look before you trust what it shows.")
     else:

@@ -91,6 +91,33 @@ def failures(content: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def failed_checks(
+    metrics: Path, scenes: Iterable[str], runs: Iterable[str]
+) -> dict[str, list[str]]:
+    """What failed of scenes before fitting and of avatars after it, by what to think of each.
+
+    Args:
+        metrics: holds `check/<scene>.json` and `self_check/<run>.json`; those not made are no
+            failures.
+        scenes: by name.
+        runs: by name.
+
+    Raises:
+        ArtifactError: if a file is damaged.
+    """
+    paths = {
+        f"{name} fails its check; look before you trust what it shows": metrics
+        / f"check/{name}.json"
+        for name in scenes
+    } | {
+        f"{name} fails its self-check; do not trust what it shows": metrics
+        / f"self_check/{name}.json"
+        for name in runs
+    }
+    told = {what: failures(read_findings(path)) for what, path in paths.items() if path.exists()}
+    return {what: sentences for what, sentences in told.items() if sentences}
+
+
 def _subject(name: str, content: Mapping[str, Any]) -> str:
     """A finding's name in words, with the part of the body that it is about."""
     words = name.replace("_", " ")

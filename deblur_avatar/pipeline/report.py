@@ -17,7 +17,7 @@ from deblur_avatar import run
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.costs import cost_files, read_costs, with_seconds
-from deblur_avatar.evaluation.findings import failures, read_findings
+from deblur_avatar.evaluation.findings import failed_checks
 from deblur_avatar.evaluation.recovery import (
     compared,
     pooled,
@@ -138,7 +138,7 @@ def make_report(
     page = render_page(
         TEMPLATE,
         headline=_headline(scenes),
-        failed=_failed_checks(metrics, runs),
+        failed=failed_checks(metrics, sorted({r.scene for r in runs.values()}), sorted(runs)),
         machine=_machine(scenes),
         media=MEDIA,
         charts={name: charts[f"{name}.svg"].decode() for name in CHARTS if f"{name}.svg" in charts},
@@ -270,15 +270,6 @@ def read_learning_curves(metrics: Path, runs: Mapping[str, RunParams]) -> dict[s
 
 def _is_moment(point: Any) -> bool:
     return isinstance(point, dict) and point.keys() >= MOMENT
-
-
-def _failed_checks(metrics: Path, runs: Mapping[str, RunParams]) -> dict[str, list[str]]:
-    """What is wrong with scenes before fitting and with avatars after it; by what fails."""
-    scenes = sorted({run_params.scene for run_params in runs.values()})
-    paths = {f"{name} fails its check": metrics / f"check/{name}.json" for name in scenes}
-    paths |= {f"{n} fails its self-check": metrics / f"self_check/{n}.json" for n in sorted(runs)}
-    told = {what: failures(read_findings(path)) for what, path in paths.items() if path.exists()}
-    return {what: sentences for what, sentences in told.items() if sentences}
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -132,6 +132,12 @@ def test_what_preprocess_measured_is_judged_too(seen):
     assert verdicts(seen)["reprojection_share"] == "unknown"
 
 
+def test_one_joint_that_jumps_once_condemns_no_clip(seen):
+    """A dancer's foot was on the other foot's place for 2 frames of 150; her avatar was good."""
+    found = check_scene(seen, {"track": {"speed_ratio": 10.8}})["findings"]
+    assert found["speed_ratio"]["verdict"] == "warn"
+
+
 def test_a_failed_scene_is_told_loudly_and_stops_only_if_asked(seen, caplog):
     content = check_scene(dataclasses.replace(seen, mattes=seen.mattes.roll(20, dims=2)), {})
     tell("hall", content)

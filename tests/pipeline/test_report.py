@@ -426,14 +426,17 @@ def test_what_fails_its_check_or_its_self_check_is_told_of_on_top(project):
         write_json(project / f"metrics/self_check/studio-{method}.json", content)
     page = made(project).page
     before = page.split('<div class="figures">')[0]
-    assert "studio-paper fails its self-check" in before
+    assert "studio-paper fails its self-check; do not trust what it shows" in before
     assert "Outside filmed: 0.3 (share). look at the masks" in before
     assert "studio-oracle fails" not in page
     assert "studio fails" not in page
     content = {"verdict": "fail", "findings": {"person_share": bad}}
     write_json(project / "metrics/check/studio.json", content)
     page = made(project).page
-    assert "studio fails its check; do not trust" in page.split('<div class="figures">')[0]
+    assert (
+        "studio fails its check; look before you trust what it shows"
+        in page.split('<div class="figures">')[0]
+    )
     (project / "metrics/self_check/studio-paper.json").write_text("{}")
     with pytest.raises(ArtifactError, match=r"studio-paper\.json is damaged"):
         made(project)
