@@ -134,7 +134,7 @@ def fitted(
         device = run.chosen_device()
         key = run_key([seed, sorted(moments), device], [recipe, method, schedule], inputs)
         generator = torch.Generator().manual_seed(seed)
-        common = {"device": device, "generator": generator, "report": watch}
+        common: dict[str, Any] = {"device": device, "generator": generator, "report": watch}
 
         def folder(stage: str) -> RunFolder:
             path = Path(there) / stage

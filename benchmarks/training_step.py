@@ -50,6 +50,7 @@ from deblur_avatar.avatars.kinds import AVATARS
 from deblur_avatar.avatars.params import Precision
 from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.avatars.splats import SplatAvatar
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.geometry.cameras import look_at
@@ -149,6 +150,7 @@ def begin(
         seen.averaging_space,
         generator,
     )
+    assert isinstance(model, SplatAvatar)
     with torch.no_grad():
         model.gaussians.opacity_logits.fill_(2.0)
     fusion = method.fusion
@@ -260,9 +262,9 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
         measured["methods"][method] = {"ms": round(took, 2), "parts_ms": apart, **found}
     fit, shared = begin("paper", seen, schedule)
     _, shared_full = begin("paper", seen, schedule, "float32")
-    apart = naive(begin("paper", seen, schedule)[0])
-    apart_full = naive(begin("paper", seen, schedule, "float32")[0])
-    took, full, naively, fully = milliseconds([shared, shared_full, apart, apart_full])
+    naive_step = naive(begin("paper", seen, schedule)[0])
+    naive_full = naive(begin("paper", seen, schedule, "float32")[0])
+    took, full, naively, fully = milliseconds([shared, shared_full, naive_step, naive_full])
     measured["naive"] = {
         **as_computed(fit.avatar.precision, torch.device("cpu")),
         "ms": round(took, 2),

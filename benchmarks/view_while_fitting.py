@@ -274,7 +274,10 @@ def measured(observations: Path, rounds: int, seconds: float) -> list[dict[str, 
             binary = next(filter(None, map(shutil.which, CHROMIUM)), None)
             with viewed(Path(there)) as (viewer, address), sync_playwright() as playwright:
                 browser = playwright.chromium.launch(executable_path=binary, args=list(FLAGS))
-                clients = {"both": Hand(browser, address), "watched": Socket(address)}
+                clients: dict[str, Hand | Socket] = {
+                    "both": Hand(browser, address),
+                    "watched": Socket(address),
+                }
                 for client in clients.values():
                     client.turn(SETTLED)
                 drawing = [viewer, *descendants(viewer)]
