@@ -7,6 +7,7 @@ detectors are not noisy but wrong.
 """
 
 import logging
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -51,6 +52,7 @@ OUTLINE_SHARE = 0.01
 ACCELERATION = 60.0  # of joints, m/s^2: a kick's
 ANGULAR_ACCELERATION = 300.0  # of joints' rotations, rad/s^2
 SHAPE_TRUST = 1.0  # how many measurements of a frame the expected shape weighs
+OFFSET_TRUST = 0.6  # in a firm fit, the same of where landmarks are expected on the body
 BEYOND_LIMIT = 0.1  # radians
 KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
 OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
@@ -62,6 +64,7 @@ COARSE_STEPS = 150  # with few outlines; the error has settled by then on all cl
 FINE_STEPS = 200  # with all of them
 OUTLINED_FRAMES = 64  # of one view that a step compares with their mattes
 MATCH_EVERY = 25  # steps between two searches for outline points' partners
+FINE_RATE = 0.3  # of the rates below, with which a firm fit's fine steps begin
 RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004}
 
 
@@ -115,6 +118,7 @@ class _Problem:
     basis: Float[Tensor, "F D"]  # frames from control values
     interval: float  # seconds between frames
     extent: float
+    firm: bool
 
 
 @run.one_thread()
@@ -124,6 +128,8 @@ def fit_body(
     recorded: tuple[int, ...],
     people: list[Landmarks],
     timestamps: Float[Tensor, " F"],
+    *,
+    firm: bool,
 ) -> BodyFit:
     """Fit a body to what detectors found in several cameras' frames.
 
@@ -133,6 +139,8 @@ def fit_body(
         recorded: the camera of each entry of `people`.
         people: landmarks and mattes in the pixels of those cameras.
         timestamps: of the frames, seconds.
+        firm: whether landmarks stay within centimetres of where they are expected on the body, and
+            joints beside where landmarks in space have brought them (docs/decisions/0059).
 
     Raises:
         ArtifactError: if no frame shows a person, or no two of several cameras agree on her.
@@ -141,7 +149,7 @@ def fit_body(
         raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
     if not any(bool(person.found.any()) for person in people):
         raise ArtifactError("no person found in any frame; check the videos")
-    problem, transl = _problem(body, cameras, recorded, people, timestamps)
+    problem, transl = _problem(body, cameras, recorded, people, timestamps, firm)
     unknowns = _solve(problem, transl)
     posed = _pose(problem, unknowns)
     poses = Poses(
@@ -173,6 +181,7 @@ def _problem(
     recorded: tuple[int, ...],
     people: list[Landmarks],
     timestamps: Float[Tensor, " F"],
+    firm: bool,
 ) -> tuple[_Problem, Float[Tensor, "D 3"]]:
     """What is known before the body is fitted, and a first guess of the root's control points."""
     marks = landmark_map()
@@ -212,6 +221,7 @@ def _problem(
         basis=basis,
         interval=interval,
         extent=extent,
+        firm=firm,
     )
     return problem, transl
 
@@ -280,7 +290,12 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
     groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
     optimiser = torch.optim.Adam(groups)
     steps = COARSE_STEPS + FINE_STEPS
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    scheduler = torch.optim.lr_scheduler
+    schedule: torch.optim.lr_scheduler.LRScheduler = (
+        scheduler.LambdaLR(optimiser, _firm_rate)
+        if problem.firm
+        else scheduler.CosineAnnealingLR(optimiser, steps)
+    )
     partners: list[Int64[Tensor, "F Q"]] = []
     # Outlines cost most; of a long clip each step looks at some of the frames.
     stride = 1 if problem.one is None else -(-len(problem.basis) // OUTLINED_FRAMES)
@@ -306,6 +321,20 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         optimiser.step()
         schedule.step()
     return _Unknowns(*[value.detach() for value in unknowns])
+
+
+def _firm_rate(step: int) -> float:
+    """Share of the rates: each half's fall along a cosine, the second half's from `FINE_RATE`.
+
+    The fine steps' losses saturate: a joint that a large step throws beside its landmark stays.
+    """
+    if step < COARSE_STEPS:
+        return FINE_RATE + (1 - FINE_RATE) * _falling(step / COARSE_STEPS)
+    return FINE_RATE * _falling((step - COARSE_STEPS) / FINE_STEPS)
+
+
+def _falling(done: float) -> float:
+    return 0.5 * (1 + math.cos(math.pi * done))
 
 
 def _saturating(squared: Tensor) -> Tensor:
@@ -372,8 +401,10 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
     rotations = torch.cat([posed.turn[:, None], pose], dim=1)
     angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
-    # Shape and offsets are weighed against as many measurements as there are frames.
+    # What is one for the clip is weighed against as many measurements as there are frames.
     shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
+    if problem.firm:
+        offsets = len(pose) ** 0.5 * OFFSET_TRUST * offsets
     squares = [shape, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
     return torch.stack([term.square().sum() for term in squares]).sum()
 

@@ -50,7 +50,8 @@ from deblur_avatar.imaging.straightening import straightened
 class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
-    poses: Literal["given", "estimated"]
+    # estimated_firm: landmarks are held to the body (docs/decisions/0059), as a new avatar's are
+    poses: Literal["given", "estimated", "estimated_firm"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
     background: BackgroundKind  # how it is known what is behind the person
@@ -116,7 +117,7 @@ def preprocess(
     row = clip.recorded.index(clip.train_camera)
     people, kind = cast(list[Landmarks], []), params.background
     scenes = [BackgroundEstimator(frames) for frames in clip.frames]
-    if params.masks != "given" or params.poses == "estimated":
+    if params.masks != "given" or params.poses != "given":
         people = _people(clip, params, detect)
         people, kind = _without_background(clip, row, kind, people, scenes)
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
@@ -237,7 +238,8 @@ def _track(
     """The poses that came with the clip, or a body fitted to what detectors found."""
     if params.poses == "given":
         return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None)
-    fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
+    firm = params.poses == "estimated_firm"
+    fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps, firm=firm)
     stacks = [person.mattes for person in people]
     fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
     trusted = shown.float() * fitted.trust
