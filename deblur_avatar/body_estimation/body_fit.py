@@ -7,7 +7,6 @@ detectors are not noisy but wrong.
 """
 
 import logging
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +21,7 @@ from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.body_estimation.body_landmarks import LandmarkMap, landmark_map
 from deblur_avatar.body_estimation.first_guess import first_guess, spline_basis
+from deblur_avatar.body_estimation.fit_rates import fit_rates
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.monocular_prior import (
     OneView,
@@ -52,7 +52,7 @@ OUTLINE_SHARE = 0.01
 ACCELERATION = 60.0  # of joints, m/s^2: a kick's
 ANGULAR_ACCELERATION = 300.0  # of joints' rotations, rad/s^2
 SHAPE_TRUST = 1.0  # how many measurements of a frame the expected shape weighs
-OFFSET_TRUST = 0.6  # in a firm fit, the same of where landmarks are expected on the body
+OFFSET_TRUST = 0.2  # in a firm fit, the same of where landmarks are expected on the body
 BEYOND_LIMIT = 0.1  # radians
 KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
 OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
@@ -64,7 +64,6 @@ COARSE_STEPS = 150  # with few outlines; the error has settled by then on all cl
 FINE_STEPS = 200  # with all of them
 OUTLINED_FRAMES = 64  # of one view that a step compares with their mattes
 MATCH_EVERY = 25  # steps between two searches for outline points' partners
-FINE_RATE = 0.3  # of the rates below, with which a firm fit's fine steps begin
 RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004}
 
 
@@ -290,12 +289,7 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
     groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
     optimiser = torch.optim.Adam(groups)
     steps = COARSE_STEPS + FINE_STEPS
-    scheduler = torch.optim.lr_scheduler
-    schedule: torch.optim.lr_scheduler.LRScheduler = (
-        scheduler.LambdaLR(optimiser, _firm_rate)
-        if problem.firm
-        else scheduler.CosineAnnealingLR(optimiser, steps)
-    )
+    schedule = fit_rates(optimiser, COARSE_STEPS, FINE_STEPS, firm=problem.firm)
     partners: list[Int64[Tensor, "F Q"]] = []
     # Outlines cost most; of a long clip each step looks at some of the frames.
     stride = 1 if problem.one is None else -(-len(problem.basis) // OUTLINED_FRAMES)
@@ -321,20 +315,6 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         optimiser.step()
         schedule.step()
     return _Unknowns(*[value.detach() for value in unknowns])
-
-
-def _firm_rate(step: int) -> float:
-    """Share of the rates: each half's fall along a cosine, the second half's from `FINE_RATE`.
-
-    The fine steps' losses saturate: a joint that a large step throws beside its landmark stays.
-    """
-    if step < COARSE_STEPS:
-        return FINE_RATE + (1 - FINE_RATE) * _falling(step / COARSE_STEPS)
-    return FINE_RATE * _falling((step - COARSE_STEPS) / FINE_STEPS)
-
-
-def _falling(done: float) -> float:
-    return 0.5 * (1 + math.cos(math.pi * done))
 
 
 def _saturating(squared: Tensor) -> Tensor:

@@ -115,19 +115,14 @@ def preprocess(
     """
     clip = straightened(clip)
     row = clip.recorded.index(clip.train_camera)
-    people, kind = cast(list[Landmarks], []), params.background
     scenes = [BackgroundEstimator(frames) for frames in clip.frames]
+    people, kind = cast(list[Landmarks], []), params.background
     if params.masks != "given" or params.poses != "given":
-        people = _people(clip, params, detect)
-        people, kind = _without_background(clip, row, kind, people, scenes)
+        found = _people(clip, params, detect)
+        people, kind = _without_background(clip, row, kind, found, scenes)
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
-    if track.model == "full":
-        logger.warning(
-            "poses come from the smaller pose model and are up to two fifths farther off than "
-            "need be; `deblur-avatar setup`, with npm on the path, brings the larger one"
-        )
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
     crops, cameras = person_crops(clip.cameras, body, track.poses, params.margin, image_height)
     background = scenes[row].background(kind, mattes)
@@ -243,6 +238,11 @@ def _track(
     stacks = [person.mattes for person in people]
     fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
     trusted = shown.float() * fitted.trust
+    if people[0].model == "full":
+        logger.warning(
+            "poses come from the smaller pose model and are up to two fifths farther off than "
+            "need be; `deblur-avatar setup`, with npm on the path, brings the larger one"
+        )
     return _Track(fitted.poses, trusted, fit, fitted.flags, people[0].model)
 
 

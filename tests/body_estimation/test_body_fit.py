@@ -109,26 +109,6 @@ def test_in_a_firm_fit_long_clips_move_landmarks_no_farther_than_short_ones(
     assert costs[1][1] == pytest.approx(2 * costs[1][0], rel=1e-3)
 
 
-def test_the_rates_of_a_firm_fit_fall_twice_and_never_jump_up():
-    rates = [body_fit._firm_rate(step) for step in range(160)]
-    assert rates[0] == 1
-    assert rates[100] == pytest.approx(body_fit.FINE_RATE)
-    assert rates == sorted(rates, reverse=True)
-    assert 0 <= rates[-1] < 0.001
-
-
-@pytest.mark.parametrize("firm", [False, True])
-def test_a_firm_fit_alone_takes_these_rates(
-    body: Body, people: list[Landmarks], monkeypatch: pytest.MonkeyPatch, firm: bool
-):
-    asked = []
-    monkeypatch.setattr(body_fit, "COARSE_STEPS", 2)
-    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
-    monkeypatch.setattr(body_fit, "_firm_rate", lambda step: asked.append(step) or 1.0)
-    fit(body, people[:1], (0,), firm=firm)
-    assert bool(asked) == firm
-
-
 def test_the_number_of_threads_changes_no_bit(body: Body, people: list[Landmarks]):
     results = by_threads(lambda: motion(fit(body, people).poses), 1, 2)
     for one, two in zip(*results, strict=True):
