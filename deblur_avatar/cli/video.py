@@ -183,9 +183,9 @@ def _show_page(folder: Path, run: str) -> None:
 def _tell_verdict(before: Path, after: Path) -> None:
     """What failed before and after fitting; the verdict last, in a sentence that nobody misses."""
     told = {"check": read_findings(before), "self-check": read_findings(after)}
-    failed = [what for what, content in told.items() if failures(content)]
-    for what in failed:
-        for sentence in failures(told[what]):
+    failed = {what: found for what, content in told.items() if (found := failures(content))}
+    for what, sentences in failed.items():
+        for sentence in sentences:
             logger.warning("FAILED %s: %s", what, sentence)
     verdict = told["self-check"]["verdict"]
     if "self-check" in failed:
