@@ -14,6 +14,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -28,6 +29,7 @@ from deblur_avatar.ending import exit_code, raise_again
 from deblur_avatar.errors import ArtifactError, ConfigError
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
 KEPT_BYTES = 1 << 30  # more than any stage frees at once
@@ -90,7 +92,8 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     random.seed(derived)
     np.random.seed(derived)  # noqa: NPY002, third parties draw from it
     torch.manual_seed(derived)
-    torch.use_deterministic_algorithms(device.type == "cpu")
+    # As `torch.use_deterministic_algorithms`, which loads torch's compiler for seconds first.
+    torch.set_deterministic_debug_mode("error" if device.type == "cpu" else "default")
     torch.backends.cudnn.allow_tf32 = False  # float32 has all its digits on a GPU, too
     # A debugging aid that costs time.
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
@@ -152,6 +155,19 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def in_threads(function: Callable[..., R], *items: Iterable[Any]) -> list[R]:
+    """Call a function with each of the items, side by side; returns results in their order.
+
+    For what leaves the interpreter to others while it works: OpenCV, NumPy, coding of pictures.
+
+    Args:
+        function: whose result does not depend on what runs beside it.
+        items: an argument each, equally many.
+    """
+    with ThreadPoolExecutor(kernel_threads()) as workers:
+        return list(workers.map(lambda each: function(*each), zip(*items, strict=True)))
 
 
 def _keep_freed_memory() -> None:

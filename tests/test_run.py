@@ -5,6 +5,7 @@ import random
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,46 @@ def test_a_stage_draws_the_same_numbers_whenever_it_runs(monkeypatch):
     assert first == again
     for other in (other_seed, other_item):
         assert all(a != b for a, b in zip(first, other, strict=True))
+
+
+def test_a_stage_is_deterministic_and_does_not_load_the_compiler_of_torch_for_it():
+    """That takes seconds, in each of a pipeline's stages."""
+    program = (
+        "import sys, torch; from deblur_avatar import run\n"
+        "with run.stage('warmup', 'studio', 0):\n"
+        "    assert torch.are_deterministic_algorithms_enabled()\n"
+        "    assert not torch.is_deterministic_algorithms_warn_only_enabled()\n"
+        "print([name for name in ('torch._dynamo', 'torch._inductor') if name in sys.modules])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+        env={**os.environ, "DEBLUR_AVATAR_DEVICE": "cpu"},
+    )  # fmt: skip
+    assert done.stdout == "[]\n"
+
+
+def test_work_side_by_side_comes_back_in_order(monkeypatch):
+    monkeypatch.setenv("DEBLUR_AVATAR_THREADS", "3")
+    meeting = threading.Barrier(3, timeout=20)
+
+    def work(number, word):
+        meeting.wait()  # nobody goes on alone
+        return f"{number}{word}"
+
+    assert run.in_threads(work, range(6), "abcdef") == ["0a", "1b", "2c", "3d", "4e", "5f"]
+    assert run.in_threads(work, [], []) == []
+
+
+def test_work_side_by_side_says_what_went_wrong():
+    def work(number):
+        if number == 3:
+            raise ArtifactError("the third")
+        return number
+
+    with pytest.raises(ArtifactError, match="the third"):
+        run.in_threads(work, range(50))
+    with pytest.raises(ValueError, match="zip"):
+        run.in_threads(lambda a, b: a + b, [1, 2], [1])
 
 
 def test_a_stage_runs_where_the_environment_says(monkeypatch):

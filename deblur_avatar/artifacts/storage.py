@@ -25,6 +25,7 @@ from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.readers.picture_codec import MAX_PIXELS, STORED_PNG, encoded, read_pixels
+from deblur_avatar.run import in_threads
 
 A = TypeVar("A", bound="Artifact")
 
@@ -256,9 +257,12 @@ def _write_images(folder: Path, stack: Tensor) -> None:
     dims = 3 if stack.shape[-1] == 3 and stack.ndim > 3 else 2
     count = int(np.prod(stack.shape[:-dims]))  # -1 would not do for an empty stack
     images = stack.detach().cpu().reshape(count, *stack.shape[-dims:]).numpy()
-    for index, image in enumerate(images):
+
+    def write(index: int, image: NDArray[np.uint8]) -> None:
         pixels = image if dims == 3 else image[..., None]
         (folder / f"{index:06d}.png").write_bytes(encoded(pixels, ".png", STORED_PNG))
+
+    in_threads(write, range(count), images)
 
 
 def _read_images(folder: Path, entry: Any, where: str) -> Tensor:
@@ -270,12 +274,14 @@ def _read_images(folder: Path, entry: Any, where: str) -> Tensor:
     paths = sorted(folder.glob("*.png"))
     if len(paths) != count:
         raise ArtifactError(f"{where}: wanted {count} images, found {len(paths)}; {_REMEDY}")
-    images = np.empty((0, *shape[-dims:]), np.uint8)
-    for index, path in enumerate(paths):
-        image = _read_image(path, shape[-dims:])
-        if index == 0:  # not before: a size that only the manifest claims costs nothing
-            images = np.empty((count, *image.shape), np.uint8)
-        images[index] = image
+    if paths:  # before there is room: a size that only the manifest claims costs nothing
+        _read_image(paths[0], shape[-dims:])
+    images = np.empty((count, *shape[-dims:]), np.uint8)
+
+    def read(index: int, path: Path) -> None:
+        images[index] = _read_image(path, shape[-dims:])
+
+    in_threads(read, range(count), paths)
     return torch.from_numpy(images).reshape(shape)
 
 

@@ -138,8 +138,8 @@ def fit_body(
         recorded: the camera of each entry of `people`.
         people: landmarks and mattes in the pixels of those cameras.
         timestamps: of the frames, seconds.
-        firm: whether landmarks stay within centimetres of where they are expected on the body, and
-            joints beside where landmarks in space have brought them (docs/decisions/0059).
+        firm: whether landmarks stay within a hand's breadth of where they are expected on the body,
+            and joints beside where landmarks in space have brought them (docs/decisions/0059).
 
     Raises:
         ArtifactError: if no frame shows a person, or no two of several cameras agree on her.

@@ -105,17 +105,17 @@ def failed_checks(
     Raises:
         ArtifactError: if a file is damaged.
     """
-    paths = {
-        f"{name} fails its check; look before you trust what it shows": metrics
-        / f"check/{name}.json"
-        for name in scenes
-    } | {
-        f"{name} fails its self-check; do not trust what it shows": metrics
-        / f"self_check/{name}.json"
-        for name in runs
-    }
-    told = {what: failures(read_findings(path)) for what, path in paths.items() if path.exists()}
-    return {what: sentences for what, sentences in told.items() if sentences}
+    told = [
+        ("check", "look before you trust what it shows", scenes),
+        ("self_check", "do not trust what it shows", runs),
+    ]
+    failed = {}
+    for kind, advice, names in told:
+        for name in names:
+            path = metrics / kind / f"{name}.json"
+            if path.exists() and (sentences := failures(read_findings(path))):
+                failed[f"{name} fails its {kind.replace('_', '-')}; {advice}"] = sentences
+    return failed
 
 
 def _subject(name: str, content: Mapping[str, Any]) -> str:

@@ -26,6 +26,7 @@ from deblur_avatar.imaging.background_features import (
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
 from deblur_avatar.imaging.plate_light import plates_in_their_light
+from deblur_avatar.run import in_threads
 
 RANSAC_PIXELS = 2.0  # from a homography, still an inlier
 KEY_INLIERS = 0.4  # share of a keyframe's inliers below which the frame before becomes a keyframe
@@ -62,10 +63,13 @@ def aligned_plates(
 
     def warped_back(frames: UInt8[Tensor, "F H W 3"]) -> list[Plate]:
         mosaic, (height, width) = _mosaic(frames, mattes, alignment), mattes.shape[1:]
-        return [_warped_back(mosaic, p, (height, width)) for p in alignment.mosaic_from_frame]
+        return in_threads(
+            lambda placed: _warped_back(mosaic, placed, (height, width)),
+            alignment.mosaic_from_frame,
+        )
 
     plates = plates_in_their_light(frames, mattes, warped_back)
-    return [believed(*seen) for seen in zip(frames, mattes, plates, strict=True)]
+    return in_threads(believed, frames, mattes, plates)
 
 
 def align_frames(features: FrameFeatures, mattes: UInt8[Tensor, "F H W"]) -> Alignment | None:
@@ -158,7 +162,8 @@ def believed(frame: UInt8[Tensor, "H W 3"], matte: UInt8[Tensor, "H W"], plate: 
     window = (2 * radius + 1, 2 * radius + 1)
     known = plate.known.numpy()
     bare = (known & (matte.numpy() < BARE)).astype(np.float32)
-    apart = cv2.absdiff(frame.numpy(), plate.picture.numpy()).mean(-1).astype(np.float32)
+    red, green, blue = np.moveaxis(cv2.absdiff(frame.numpy(), plate.picture.numpy()), -1, 0)
+    apart = ((red.astype(np.uint16) + green + blue) / 3).astype(np.float32)
     weight = cv2.blur(bare, window, borderType=cv2.BORDER_CONSTANT)
     mean = cv2.blur(apart * bare, window, borderType=cv2.BORDER_CONSTANT) / weight.clip(1e-6)
     # Deep inside the person there is nothing bare around; there the plate is not needed.

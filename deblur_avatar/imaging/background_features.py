@@ -13,6 +13,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.camera_motion import background_mask
+from deblur_avatar.run import in_threads
 
 MATCHED_WIDTH = 960  # pixels; larger frames are matched at this size
 FEATURES = 2000  # a frame: a textured wall has more, a bare one fewer
@@ -40,15 +41,15 @@ class FrameFeatures:
 
     @cached_property
     def _found(self) -> list[Features]:
-        detector: cv2.Feature2D = cv2.SIFT_create(FEATURES)  # type: ignore[attr-defined]
-        return [_features(frame, detector) for frame in self._frames]
+        return in_threads(_features, self._frames)
 
     def beside(self, mattes: UInt8[Tensor, "F H W"]) -> list[Features]:
         """Those of each frame that are surely not on the person."""
-        return [_beside(*seen) for seen in zip(self._found, mattes, strict=True)]
+        return in_threads(_beside, self._found, mattes)
 
 
-def _features(frame: UInt8[Tensor, "H W 3"], detector: cv2.Feature2D) -> Features:
+def _features(frame: UInt8[Tensor, "H W 3"]) -> Features:
+    detector: cv2.Feature2D = cv2.SIFT_create(FEATURES)  # type: ignore[attr-defined]
     grey: np.ndarray = cv2.cvtColor(frame.numpy(), cv2.COLOR_RGB2GRAY)
     scale = matched_scale(*grey.shape)
     if scale < 1:

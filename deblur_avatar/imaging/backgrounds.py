@@ -20,6 +20,7 @@ from deblur_avatar.imaging.background_features import FrameFeatures
 from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.imaging.matting import Plate, background_plate, no_plate
 from deblur_avatar.imaging.plate_light import plates_in_their_light
+from deblur_avatar.run import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -86,7 +87,7 @@ def _still_plates(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W
     plates = plates_in_their_light(frames, mattes, one_plate)
     if all(plate is plates[0] for plate in plates):
         return plates
-    return [believed(*seen) for seen in zip(frames, mattes, plates, strict=True)]
+    return in_threads(believed, frames, mattes, plates)
 
 
 def matte_edge(matte: UInt8[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
@@ -104,6 +105,6 @@ def matte_edge(matte: UInt8[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
 
 def _known_share(plates: list[Plate], mattes: UInt8[Tensor, "F H W"]) -> float:
     """Share of the edges of mattes whose background is known."""
-    edges = [matte_edge(matte) for matte in mattes]
+    edges = in_threads(matte_edge, mattes)
     known = sum(int(plate.known[edge].sum()) for plate, edge in zip(plates, edges, strict=True))
     return known / max(sum(int(edge.sum()) for edge in edges), 1)

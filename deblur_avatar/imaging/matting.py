@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.exposure import AveragingSpace, decode, encode
+from deblur_avatar.run import in_threads
 
 BARE = 26  # matte, of 255: below it (10 %) a pixel is taken to show the background
 FULL = 230  # from it on (90 %) a pixel is taken to show nothing but the person
@@ -75,8 +76,7 @@ def trim_mattes(
     Segmentation spills over the outline. What looks like the plate is trimmed if it is joined to
     the outside: inside the person it is clothing of the background's colour.
     """
-    triples = zip(frames, mattes, plates, strict=True)
-    return torch.stack([_trimmed(*triple) for triple in triples])
+    return torch.stack(in_threads(_trimmed, frames, mattes, plates))
 
 
 def _trimmed(
@@ -87,7 +87,8 @@ def _trimmed(
     alpha = matte.numpy()
     known, weight = plate.known.numpy(), plate.known.float().numpy()
     around = (NEIGHBOURHOOD, NEIGHBOURHOOD)
-    difference = cv2.absdiff(frame.numpy(), plate.picture.numpy()).max(-1) * weight
+    red, green, blue = np.moveaxis(cv2.absdiff(frame.numpy(), plate.picture.numpy()), -1, 0)
+    difference = np.maximum(np.maximum(red, green), blue) * weight
     difference = cv2.blur(difference, around) / cv2.blur(weight, around).clip(1e-3)
     share = ((difference - NOISE) / (DISTINCT - NOISE)).clip(0, 1)
     share[~known] = 1
@@ -109,8 +110,12 @@ def lift_person(
     The rest is clamped to what coverage `alpha` can emit, [0, alpha]. Where the plate is not known
     the background is taken to have the pixel's own colour, which multiplies it by alpha.
     """
-    triples = zip(frames, mattes, plates, strict=True)
-    return torch.stack([_lift(*triple, averaging_space) for triple in triples])
+    return torch.stack(
+        in_threads(
+            lambda frame, matte, plate: _lift(frame, matte, plate, averaging_space),
+            *(frames, mattes, plates),
+        )
+    )
 
 
 class Scenery(NamedTuple):

@@ -17,6 +17,7 @@ from torch import Tensor
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.matting import Plate
+from deblur_avatar.run import in_threads
 
 logger = logging.getLogger(__name__)
 
@@ -48,10 +49,11 @@ def plates_in_their_light(
     if most < STEADY:
         return plates
     logger.info("the light changes by up to %.1f stops: each frame's background follows it", most)
-    even = [relit(frame, -light) for frame, light in zip(frames, stops, strict=True)]
+    even = in_threads(relit, frames, -stops)
     plates = plates_of(torch.stack(even))
     stops = _stops_of(frames, mattes, plates)
-    return [Plate(relit(p.picture, light), p.known) for p, light in zip(plates, stops, strict=True)]
+    pictures = in_threads(relit, [plate.picture for plate in plates], stops)
+    return [Plate(lit, plate.known) for lit, plate in zip(pictures, plates, strict=True)]
 
 
 def relit(picture: UInt8[Tensor, "H W 3"], stops: Float[Tensor, " 3"]) -> UInt8[Tensor, "H W 3"]:
@@ -65,8 +67,7 @@ def relit(picture: UInt8[Tensor, "H W 3"], stops: Float[Tensor, " 3"]) -> UInt8[
 def _stops_of(
     frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"], plates: Sequence[Plate]
 ) -> Float[Tensor, "F 3"]:
-    triples = zip(frames, mattes, plates, strict=True)
-    return torch.stack([_stops(*triple) for triple in triples])
+    return torch.stack(in_threads(_stops, frames, mattes, plates))
 
 
 def _stops(

@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.run import in_threads
+
 Crop = tuple[int, int, int, int]
 
 PIXEL_CENTRE = 0.5  # of the top left pixel in our intrinsics; OpenCV puts it at 0
@@ -107,5 +109,5 @@ def crop_around(boxes: Float[Tensor, "F 4"], margin: float, size: tuple[int, int
 
 def _each(images: Tensor, change: Callable[[np.ndarray], np.ndarray]) -> Tensor:
     """Apply an OpenCV function to every picture."""
-    changed = [change(np.ascontiguousarray(image)) for image in images.numpy()]
+    changed = in_threads(lambda image: change(np.ascontiguousarray(image)), images.numpy())
     return torch.from_numpy(np.stack(changed))

@@ -29,6 +29,7 @@ from typing import Any
 
 from deblur_avatar.config.proof import files_of
 from deblur_avatar.config.reading import own_sections, parse
+from deblur_avatar.config.remembered_code import Hashes, recalled, remember, state_of
 from deblur_avatar.config.syntax import CPP, PACKAGES, content_hash, places_of_kinds, stripped
 from deblur_avatar.ending import exit_code
 
@@ -68,23 +69,28 @@ def fingerprints(root: Path, folder: Path) -> dict[str, Any]:
         SyntaxError: if a module is not Python.
         ConfigError: if a parameter file that is there cannot be read.
     """
-    return _of_folder(hashes(root), folder)
+    return _of_folder(hashes(root, folder), folder)
 
 
-@dataclass(frozen=True)
-class Hashes:
-    """Fingerprints of all scripts by name, and of all kinds by section and name."""
-
-    scripts: dict[str, str]
-    kinds: dict[str, dict[str, str]]
-
-
-def hashes(root: Path) -> Hashes:
+def hashes(root: Path, folder: Path) -> Hashes:
     """The fingerprints of all code below a root, which every folder's `code.json` chooses from.
+
+    Args:
+        root: as for `fingerprints`.
+        folder: that remembers them, if DVC has been there.
 
     Raises:
         SyntaxError: if a module is not Python.
     """
+    state = state_of(start / name for start in _starts(root) for name in (*PACKAGES, *SCRIPTS))
+    found = recalled(folder, state)
+    if found is None:
+        found = _hashes(root)
+        remember(folder, state, found)
+    return found
+
+
+def _hashes(root: Path) -> Hashes:
     known: dict[Path, list[Path]] = {}
 
     def of(path: Path) -> str:
@@ -152,7 +158,7 @@ def refresh(root: Path) -> list[Path]:
     Returns:
         Files whose content has changed.
     """
-    pipeline, code = (root / PIPELINE).read_bytes(), hashes(root)
+    pipeline, code = (root / PIPELINE).read_bytes(), hashes(root, root)
     wanted: dict[Path, bytes] = {}
     for folder in pipelines(root):
         said = f"{json.dumps(_of_folder(code, folder), indent=1)}\n".encode()

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.plate_light import BRIGHT, DARK
+from deblur_avatar.run import in_threads
 
 ROWS = 180  # at which steps are seen: noise is averaged away, a person's motion is not
 REPEATED = 0.2  # share of the smaller of the steps around that a repeated frame's step is below
@@ -137,7 +138,7 @@ def light_drift(frames: UInt8[Tensor, "F H W 3"]) -> Float[np.ndarray, " 3"]:
     From frame to frame the median pixel's light is compared, which a person's motion and a camera
     that moves slowly leave alone; changes add up.
     """
-    small = [_small(frame) for frame in frames]
+    small = in_threads(_small, frames)
     stops = np.zeros((len(small), 3))
     for index in range(1, len(small)):
         pair = np.stack([small[index - 1], small[index]])
@@ -150,7 +151,7 @@ def light_drift(frames: UInt8[Tensor, "F H W 3"]) -> Float[np.ndarray, " 3"]:
 
 
 def _steps(frames: UInt8[Tensor, "F H W 3"]) -> Float64[np.ndarray, " steps"]:
-    small = [_small(frame) for frame in frames]
+    small = in_threads(_small, frames)
     pairs = zip(small, small[1:], strict=False)
     return np.array([np.abs(after - before).mean() for before, after in pairs], np.float64)
 

