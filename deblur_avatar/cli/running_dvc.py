@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from deblur_avatar.cli.homes import missing_of_checkout
+from deblur_avatar.cli.warm_stages import warmed
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.code import refresh
 from deblur_avatar.sweep.commands import python_first
@@ -78,7 +79,7 @@ def _dvc(words: Sequence[str], folder: Path) -> int:
 
 
 def _python(words: Sequence[str], folder: Path) -> int:
-    return finish([sys.executable, "-m", *words], python_first(os.environ), folder)
+    return finish([sys.executable, "-m", *words], warmed(python_first(os.environ)), folder)
 
 
 def finish(command: Sequence[str], environment: Mapping[str, str], folder: Path) -> int:
