@@ -47,11 +47,16 @@ def make_body(folder: Path, name: str) -> int:
 
 
 def _is_shared(folder: Path, name: str, cache: Path) -> bool:
-    """Whether the body that the folder was given last lies in the cache.
+    """Whether the body that the folder was given last lies in the cache, and how it was baked.
 
-    Where that cannot be told it is sent again, which changes nothing.
+    Other code may bake the same bytes: folders find them by what DVC remembers of that run. Where
+    it cannot be told a body is sent again, which changes nothing.
     """
     digest = locked_stage(folder, f"body@{name}").left(f"data/body/{name}")
     if digest is None:
         return False
-    return (cache / "files/md5" / digest[:2] / digest[2:]).is_file()
+    known = folder / ".dvc/cache/runs"
+    runs = [run for run in known.glob("*/*/*") if digest in run.read_text()]
+    return (cache / "files/md5" / digest[:2] / digest[2:]).is_file() and all(
+        (cache / "runs" / run.relative_to(known)).is_file() for run in runs
+    )

@@ -55,6 +55,17 @@ def body_of(folder):
     return {file.name: file.read_bytes() for file in files}
 
 
+def test_what_other_code_has_baked_to_the_same_bytes_is_not_baked_again_either(home, cache):
+    """An update of the package changes how a body is baked and not what comes out."""
+    assert make_body(home("first"), "capsules") == 0
+    for name in ("updated", "second"):
+        folder = home(name)
+        (folder / "params.yaml").write_text("bodies: {capsules: {tallness: 1, version: 2}}\n")
+        assert make_body(folder, "capsules") == 0
+        assert times_baked(folder) == (name == "updated")
+    assert body_of(folder) == {"tensors": b"head and shoulders"}
+
+
 def test_a_second_folder_does_not_bake_again(home, cache):
     first, second, taller = home("first"), home("second"), home("taller", tallness=2)
     assert [make_body(folder, "capsules") for folder in (first, second, taller)] == [0, 0, 0]
