@@ -56,7 +56,13 @@ def _is_shared(folder: Path, name: str, cache: Path) -> bool:
     if digest is None:
         return False
     known = folder / ".dvc/cache/runs"
-    runs = [run for run in known.glob("*/*/*") if digest in run.read_text()]
+    # Those that it came out of, not those that read it.
+    made = [run for run in known.glob("*/*/*") if digest in _outputs(run.read_text())]
     return (cache / "files/md5" / digest[:2] / digest[2:]).is_file() and all(
-        (cache / "runs" / run.relative_to(known)).is_file() for run in runs
+        (cache / "runs" / run.relative_to(known)).is_file() for run in made
     )
+
+
+def _outputs(run: str) -> str:
+    """What DVC's file of a run, whose keys are in order, says of outputs."""
+    return run.partition("\nouts:")[2]

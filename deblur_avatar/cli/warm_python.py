@@ -4,7 +4,7 @@
 
 has the script run by a fork of a process that has torch loaded, with this process's arguments,
 folder, environment and standard streams, relays signals to it, and ends as it does. What is no
-script, or where nobody listens, is run by PYTHON itself, in place of this process. Imports nothing
+script, or where nobody answers, is run by PYTHON itself, in place of this process. Imports nothing
 of the package, so that it starts at once.
 """
 
@@ -16,33 +16,56 @@ import socket
 import struct
 import sys
 from types import FrameType
+from typing import NoReturn
 
 LENGTH = struct.Struct("!I")  # of a request
 STATUS = struct.Struct("!i")  # an exit code, or minus the signal that ended the script
+TAKEN = b"+"  # what the server says when it has a request
 RELAYED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STREAMS = (0, 1, 2)  # standard input, output and error
 
 
 def main(place: str, python: str, *words: str) -> int:
     """Run a script by the server, or anything by Python itself; returns the exit code."""
-    here = os.getcwd()  # noqa: PTH109, pathlib takes longer to load than all else here
-    request = json.dumps([words, here, dict(os.environ), ignored()]).encode()
-    server = socket.socket(socket.AF_UNIX)
-    try:
-        if not words or not words[0].endswith(".py"):
-            raise OSError("not a script")
-        server.connect(place)
-        socket.send_fds(server, [LENGTH.pack(len(request))], [0, 1, 2])
-    except OSError:  # nobody listens, or a standard stream is closed
+
+    def begin_anew() -> NoReturn:
+        for number in (*RELAYED, signal.SIGTSTP):
+            if number not in deaf:
+                signal.signal(number, signal.SIG_DFL)
         os.execv(python, [python, *words])
 
-    def relay(number: int, _: FrameType | None) -> None:
+    deaf = [number for number in RELAYED if signal.getsignal(number) is signal.SIG_IGN]
+    if signal.SIGINT not in deaf:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # until there is somebody to tell
+    here = os.getcwd()  # noqa: PTH109, pathlib takes longer to load than all else here
+    request = json.dumps([words, here, dict(os.environ), deaf]).encode()
+    try:
+        for stream in STREAMS:
+            os.fstat(stream)
+        if not words or not words[0].endswith(".py") or not os.path.isfile(words[0]):  # noqa: PTH113
+            begin_anew()
+        server = socket.socket(socket.AF_UNIX)
+        server.connect(place)
+        socket.send_fds(server, [LENGTH.pack(len(request))], STREAMS)
+        server.sendall(request)
+    except OSError:  # nobody listens, or a standard stream is closed
+        begin_anew()
+
+    def relay(number: int, _: FrameType | None = None) -> None:
         with contextlib.suppress(OSError):
             server.send(bytes([number]))
 
+    def pause(*_: object) -> None:
+        relay(signal.SIGSTOP)
+        os.kill(os.getpid(), signal.SIGSTOP)
+        relay(signal.SIGCONT)
+
     for number in RELAYED:
         signal.signal(number, relay)
-    server.sendall(request)
-    answer = server.recv(STATUS.size, socket.MSG_WAITALL)
+    signal.signal(signal.SIGTSTP, pause)
+    if _received(server, len(TAKEN)) != TAKEN:
+        begin_anew()
+    answer = _received(server, STATUS.size)
     if len(answer) < STATUS.size:
         sys.stderr.write("the process that runs stages was killed\n")
         return 128 + signal.SIGKILL
@@ -50,9 +73,12 @@ def main(place: str, python: str, *words: str) -> int:
     return status if status >= 0 else 128 - status
 
 
-def ignored() -> list[int]:
-    """Signals that this process does not hear, as those of a shell's background."""
-    return [int(number) for number in RELAYED if signal.getsignal(number) is signal.SIG_IGN]
+def _received(server: socket.socket, size: int) -> bytes:
+    """So many bytes, or fewer if nobody sends more."""
+    try:
+        return server.recv(size, socket.MSG_WAITALL)
+    except OSError:
+        return b""
 
 
 if __name__ == "__main__":

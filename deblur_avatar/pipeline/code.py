@@ -82,11 +82,13 @@ def hashes(root: Path, folder: Path) -> Hashes:
     Raises:
         SyntaxError: if a module is not Python.
     """
-    state = state_of(start / name for start in _starts(root) for name in (*PACKAGES, *SCRIPTS))
+    places = [start / name for start in _starts(root) for name in (*PACKAGES, *SCRIPTS)]
+    state = state_of(places)
     found = recalled(folder, state)
     if found is None:
         found = _hashes(root)
-        remember(folder, state, found)
+        if state_of(places) == state:  # and nobody has edited meanwhile
+            remember(folder, state, found)
     return found
 
 

@@ -90,6 +90,14 @@ def test_a_script_finds_what_python_would_give_it(
         ("raise SystemExit(7)", 7, ""),
         ("raise SystemExit('words')", 1, "words\n"),
         ("raise ValueError('odd')", 1, "ValueError: odd\n"),
+        ("raise KeyboardInterrupt", 130, "KeyboardInterrupt\n"),
+        ("raise SystemExit(258)", 2, ""),
+        (
+            "import threading, time; "
+            "threading.Thread(target=lambda: (time.sleep(0.5), open('left', 'w'))).start()",
+            0,
+            "",
+        ),
         ("print('out', end='')", 0, ""),
         ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", 137, ""),
         ("import atexit; atexit.register(lambda: open('left', 'w'))", 0, ""),
@@ -173,6 +181,36 @@ def test_a_signal_reaches_the_script_once(
     assert not _is_there(pid)
 
 
+def test_a_signal_that_comes_while_the_server_loads_waits_for_the_script(
+    script: Callable[[str], Path], tmp_path: Path
+) -> None:
+    text = "import time\ntime.sleep(20)\nopen('done', 'w')\n"
+    words = [sys.executable, "-c", STARTS, str(script(text))]
+    with subprocess.Popen(words, cwd=tmp_path, start_new_session=True) as began:
+        _pid(tmp_path / "client")
+        time.sleep(0.5)  # the client has asked, and torch takes seconds
+        os.killpg(began.pid, signal.SIGINT)
+        assert began.wait(15) == 130
+    assert not (tmp_path / "done").exists()
+
+
+def test_a_script_stands_still_while_its_client_does(
+    environment: Mapping[str, str], script: Callable[[str], Path], tmp_path: Path
+) -> None:
+    words = ["python", str(script(WAITS)), str(tmp_path / "pid")]
+    with subprocess.Popen(words, env=environment, start_new_session=True) as client:
+        pid = _pid(tmp_path / "pid")
+        for number, state in ((signal.SIGTSTP, "T"), (signal.SIGCONT, "S")):
+            os.killpg(client.pid, number)
+            for _ in range(500):
+                if _fields(pid)[0] == state:
+                    break
+                time.sleep(0.01)
+            assert _fields(pid)[0] == state
+        client.terminate()
+        assert client.wait(20) == 143
+
+
 def test_a_script_ends_with_what_relays_to_it(
     environment: Mapping[str, str], script: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -199,15 +237,43 @@ def test_without_a_server_python_itself_runs(script: Callable[[str], Path], tmp_
     assert subprocess.run([*client, "-c", "raise SystemExit(8)"]).returncode == 8
 
 
-def test_what_is_no_script_is_python_s(environment: Mapping[str, str]) -> None:
-    assert subprocess.run(["python", "-c", "raise SystemExit(8)"], env=environment).returncode == 8
-
-
-def test_a_closed_stream_is_no_obstacle(
-    environment: Mapping[str, str], script: Callable[[str], Path]
+@pytest.mark.parametrize(
+    ("words", "code"), [(["-c", "raise SystemExit(8)"], 8), (["none.py"], 2), (["-V"], 0)]
+)
+def test_what_is_no_script_is_python_s(
+    environment: Mapping[str, str], words: list[str], code: int
 ) -> None:
-    command = f"python {script('raise SystemExit(6)')} <&-"
+    assert subprocess.run(["python", *words], env=environment).returncode == code
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
+def test_a_closed_stream_is_no_obstacle(
+    environment: Mapping[str, str], script: Callable[[str], Path], closed: str
+) -> None:
+    command = f"python {script('raise SystemExit(6)')} {closed}"
     assert subprocess.run(["sh", "-c", command], env=environment).returncode == 6
+
+
+def test_without_libraries_stages_say_so_themselves(
+    script: Callable[[str], Path], tmp_path: Path
+) -> None:
+    (tmp_path / "torch.py").write_text("raise OSError('no such driver')\n")
+    words = [sys.executable, "-c", STARTS, str(script("import torch"))]
+    given = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(words, cwd=tmp_path, env=given, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.endswith("OSError: no such driver\n")
+
+
+def test_a_server_that_is_killed_leaves_stages_to_python(
+    script: Callable[[str], Path], tmp_path: Path
+) -> None:
+    text = STARTS.replace(
+        "    sys.exit(", "    os.system('sleep 0.5; pkill -KILL -f deblur_avatar.cli.warm_stages.*'"
+        " + str(os.getpid()))\n    sys.exit("
+    )  # fmt: skip
+    words = [sys.executable, "-c", text, str(script("import sys; sys.exit(9)"))]
+    assert subprocess.run(words, cwd=tmp_path).returncode == 9
 
 
 def test_the_server_ends_with_the_process_that_began_it(tmp_path: Path) -> None:
@@ -225,8 +291,13 @@ def test_the_server_ends_with_the_process_that_began_it(tmp_path: Path) -> None:
         "open('part', 'w').write(stat[1])\n"
         "os.replace('part', 'pid')\n"
     )
-    with subprocess.Popen([sys.executable, "-c", text], cwd=tmp_path) as began:
+    (tmp_path / "tqdm.py").write_text("raise SystemExit('not of the library')\n")
+    (tmp_path / "scratch").mkdir()
+    given = {**os.environ, "TMPDIR": str(tmp_path / "scratch")}
+    with subprocess.Popen([sys.executable, "-c", text], cwd=tmp_path, env=given) as began:
         server = _pid(tmp_path / "pid")
         assert _is_there(server)
+        assert len(list((tmp_path / "scratch").glob("deblur-avatar-*"))) == 1
         began.kill()
     assert not _is_there(server)
+    assert list((tmp_path / "scratch").glob("deblur-avatar-*")) == []
