@@ -20,7 +20,8 @@ def test_the_command_is_installed_with_the_package():
 
 def test_every_subcommand_is_a_module_and_every_module_one():
     others = {"__init__", "main", "running_dvc", "homes", "avatar_params", "footage_contents",
-        "run_on_disk", "shelf", "shared_bodies", "unlisted_remote", "locked_stages"}  # fmt: skip
+        "run_on_disk", "shelf", "shared_bodies", "unlisted_remote", "locked_stages",
+        "warm_python", "warm_stages"}  # fmt: skip
     assert {p.stem for p in (ROOT / "deblur_avatar/cli").glob("*.py")} - others == set(COMMANDS)
 
 

@@ -1,4 +1,5 @@
 import logging
+import os
 import re
 import sys
 from pathlib import Path
@@ -140,7 +141,9 @@ def test_with_all_footage_everything_is_reproduced_and_the_table_shown(folder, m
     assert commands.calls == [["-m", "dvc", "repro"]]
     assert "| method | PSNR |" in caplog.text
     assert "reports/index.html" in caplog.text
-    assert commands.paths[0].startswith(str(Path(sys.executable).parent))
+    here = str(Path(sys.executable).parent)
+    warm, _, others = commands.paths[0].partition(os.pathsep)
+    assert here in (warm, others.partition(os.pathsep)[0])  # first, or behind warm stages'
 
 
 def test_without_some_footage_its_scene_is_named_and_the_report_made_all_the_same(
