@@ -29,7 +29,6 @@ from deblur_avatar.ending import exit_code, raise_again
 from deblur_avatar.errors import ArtifactError, ConfigError
 
 T = TypeVar("T")
-R = TypeVar("R")
 
 MALLOPT_TRIM_THRESHOLD, MALLOPT_MMAP_THRESHOLD = -1, -3  # glibc's malloc.h
 KEPT_BYTES = 1 << 30  # more than any stage frees at once
@@ -82,7 +81,8 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     setting of torch's changes for the rasterizer there; two runs differ by rounding.
 
     Raises:
-        ConfigError: if there is no such device here, or the number of threads is none.
+        ConfigError: if there is no such device here, the number of threads is none, or memory
+            is full.
     """
     kernel_threads()  # says so early if they are asked for wrongly
     torch.set_num_threads(1)
@@ -100,7 +100,18 @@ def stage(name: str, item: str, seed: int) -> Iterator[Context]:
     _keep_freed_memory()
     logger.info("%s %s: start, device %s, seed %d", name, item, device, derived)
     begin = time.perf_counter()
-    yield Context(device=device, generator=generator, seed=derived)
+    try:
+        yield Context(device=device, generator=generator, seed=derived)
+    except torch.OutOfMemoryError as error:  # of a GPU
+        raise ConfigError(
+            f"{name} {item}: this GPU's memory is full ({str(error).partition('. ')[0]}); choose a "
+            "smaller schedule, end what else runs on it, or set DEBLUR_AVATAR_DEVICE=cpu"
+        ) from error
+    except MemoryError as error:
+        raise ConfigError(
+            f"{name} {item}: this machine's memory is full ({error}); take fewer or smaller frames "
+            "(clip.frames, clip.image_height), or end what else runs on it"
+        ) from error
     took = time.perf_counter() - begin
     logger.info("%s %s: done in %.1f s, %.0f MB", name, item, took, peak_memory_mb())
 
@@ -157,7 +168,7 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def in_threads(function: Callable[..., R], *items: Iterable[Any]) -> list[R]:
+def in_threads(function: Callable[..., T], *items: Iterable[Any]) -> list[T]:
     """Call a function with each of the items, side by side; returns results in their order.
 
     For what leaves the interpreter to others while it works: OpenCV, NumPy, coding of pictures.

@@ -134,6 +134,21 @@ def test_a_device_that_does_not_exist_is_a_mistake_of_the_caller(monkeypatch):
         pass
 
 
+@pytest.mark.parametrize(("error", "said"), [
+    (torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 108.00 MiB. GPU 0 has a total"),
+     r"warmup studio: this GPU's memory is full \(CUDA out of memory\).*DEBLUR_AVATAR_DEVICE=cpu"),
+    (MemoryError("Unable to allocate 3 GiB"),
+     r"warmup studio: this machine's memory is full \(Unable to allocate 3 GiB\).*clip.frames"),
+])  # fmt: skip
+def test_full_memory_is_one_line_that_says_what_to_do(error, said):
+    def allocate():
+        with run.stage("warmup", "studio", 0):
+            raise error
+
+    with pytest.raises(ConfigError, match=said):
+        allocate()
+
+
 def test_torch_computes_with_one_thread_in_a_stage_and_kernels_with_more(monkeypatch):
     with run.one_thread():  # restores the number of threads that other tests have
         torch.set_num_threads(2)

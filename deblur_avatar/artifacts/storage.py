@@ -274,14 +274,15 @@ def _read_images(folder: Path, entry: Any, where: str) -> Tensor:
     paths = sorted(folder.glob("*.png"))
     if len(paths) != count:
         raise ArtifactError(f"{where}: wanted {count} images, found {len(paths)}; {_REMEDY}")
-    if paths:  # before there is room: a size that only the manifest claims costs nothing
-        _read_image(paths[0], shape[-dims:])
+    # One before there is room: a size that only the manifest claims costs nothing.
+    first = [_read_image(path, shape[-dims:]) for path in paths[:1]]
     images = np.empty((count, *shape[-dims:]), np.uint8)
+    images[: len(first)] = first or 0
 
     def read(index: int, path: Path) -> None:
         images[index] = _read_image(path, shape[-dims:])
 
-    in_threads(read, range(count), paths)
+    in_threads(read, range(len(first), count), paths[len(first) :])
     return torch.from_numpy(images).reshape(shape)
 
 

@@ -5,9 +5,7 @@ Frames whose window leaves the clip are dropped. A clip that is blurred already 
 """
 
 import logging
-import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -186,9 +184,7 @@ def _interpolated_blur(
             if mattes is not None:
                 mattes[row, position] = torch.from_numpy(picture[..., 3])
 
-    # Side by side: OpenCV and NumPy leave the interpreter to others while they work.
-    with ThreadPoolExecutor(os.cpu_count()) as workers:
-        list(workers.map(blur_camera, range(cameras)))
+    run.in_threads(blur_camera, range(cameras))
     return frames, mattes
 
 

@@ -1,6 +1,8 @@
 """The gsplat adapter: on a GPU against the kernel, elsewhere with a stand-in for gsplat."""
 
+import gc
 import sys
+import weakref
 from types import ModuleType
 
 import pytest
@@ -122,6 +124,17 @@ def test_screen_statistics_hold_nothing_where_nothing_is_seen(make_scene, on_the
     assert (found.screen.means2d_absgrad[~seen] == 0).all()
     assert (found.screen.means2d_grad[~seen] == 0).all()
     assert (found.screen.means2d_grad[seen][:, 0] > 0).all()
+
+
+@pytest.mark.parametrize("backward", [True, False])
+def test_a_render_is_freed_with_its_graph(make_scene, on_the_cpu, backward):
+    found, tensors = through_adapter(make_scene(poses=2))
+    if backward:
+        found.image.sum().backward()
+    held = [weakref.ref(found.screen), weakref.ref(found.screen.means2d)]
+    del found, tensors
+    gc.collect()
+    assert [ref() for ref in held] == [None, None]
 
 
 def test_what_is_not_finite_is_refused_by_name(make_scene, on_the_cpu):
