@@ -19,6 +19,7 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.imaging.exposure import decode
 
 FRAMING_POSES = 32  # poses looked at to find the frame that holds the person throughout
 
@@ -68,11 +69,21 @@ def plan_shot(
     return Shot(poses, Camera(K, viewmat, size, size))
 
 
-def render_shot(model: AvatarModel, shot: Shot, progress: Progress) -> UInt8[Tensor, "F H W 3"]:
-    """Render every pose of a shot, one after the other; `progress` wraps the loop over frames."""
+def render_shot(
+    model: AvatarModel, shot: Shot, progress: Progress, backdrop: float = 0.0
+) -> UInt8[Tensor, "F H W 3"]:
+    """Render every pose of a shot, one after the other.
+
+    Args:
+        model: the avatar.
+        shot: its poses, and the camera.
+        progress: wraps the loop over frames.
+        backdrop: grey behind the person, sRGB in [0, 1].
+    """
+    light = decode(torch.full((3,), backdrop), model.averaging_space).to(model.betas)
     frames = []
     for index in progress(range(len(shot.poses.transl)), "animate"):
-        image, _ = render_avatar(model, shot.poses.at([index]), shot.camera)
+        image, _ = render_avatar(model, shot.poses.at([index]), shot.camera, background=light)
         frames.append((image[0].cpu() * 255).round().to(torch.uint8))
     return torch.stack(frames)
 

@@ -82,7 +82,7 @@ class PlainAvatar(SplatAvatar):
     _views: list[ClosureView] | None = None
 
     @staticmethod
-    def features(params: PlainParams) -> int:
+    def features(params: AvatarParams) -> int:
         """Raw colours."""
         return COLORS
 

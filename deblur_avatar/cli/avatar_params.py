@@ -21,9 +21,12 @@ from deblur_avatar.run import write_text
 from deblur_avatar.sources.footage import read_footage
 
 PAGE = "avatar.html"
-BODY, PLAIN = "anny", "plain"
+BODY = "anny"
+ON_A_PAGE = {"plain", "inpainted"}  # kinds of avatars without networks
 ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
 DEFAULT_AVATAR = "paper"
+# Of methods to which a video of one's own is another recipe than a scene: people rarely turn.
+OF_VIDEOS = {"lean": "inpainted"}
 ADDED_TO = (
     "warmups",
     "runs",
@@ -61,14 +64,13 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
         known = section_of(shared, source, f"{kind}s", dict)
         if key is not None and key not in known:
             raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
-    recipes = section_of(shared, source, "avatars", dict)
-    recipe = method if method in recipes else DEFAULT_AVATAR  # of methods without one of their own
     path = home.folder / PARAMS
     if path.is_file():
         content = _own(path, name, video)
     else:
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
+    recipe = _recipe(content, f"{name}-{method}", section_of(shared, source, "avatars", dict))
     kind = section_of(shared, source, f"avatars.{recipe}.model.kind", str)
     content = _with_method(content, name, method, recipe, kind)
     if schedule is not None:
@@ -145,6 +147,9 @@ def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
         content.setdefault(section, {})
     for section in ADDED_TO:
         section_of(content, path, section, dict)
+    for animation in content["animations"].values():
+        if isinstance(animation, dict):  # older ones were on black
+            animation.setdefault("backdrop", 0.0)
     if not _same_file(path.parent / expand_environment(known, f"{path}: clip.path"), video):
         raise ConfigError(
             f"{path} is of {known!r}; choose another --name for {video}, or change it"
@@ -164,12 +169,21 @@ def _files(kind: str) -> dict[str, Any]:
     motion = {"fps": 30.0, "seconds": 8.0}
     motions = {"motions": ["own", "builtin:jumping_jacks"], **motion}
     page = {PAGE: {"format": "page", **motions, "pictures": 12}}
-    return (page if kind == PLAIN else {}) | {
+    return (page if kind in ON_A_PAGE else {}) | {
         "rig.glb": {"format": "gltf_rig", **motions},
         "pose.ply": {"format": "ply", "frame": 0},
         "motion.bvh": {"format": "bvh", "motion": "own", **motion},
         "motion.npz": {"format": "npz"},
     }
+
+
+def _recipe(content: dict[str, Any], run: str, recipes: dict[str, Any]) -> str:
+    """What a run is fitted by: what an avatar's file says, or what a new one gets."""
+    said = content["runs"].get(run)
+    if isinstance(said, dict) and said.get("avatar") in recipes:
+        return str(said["avatar"])
+    method = run.partition("-")[2]
+    return OF_VIDEOS.get(method) or (method if method in recipes else DEFAULT_AVATAR)
 
 
 def _with_method(
@@ -187,6 +201,7 @@ def _with_method(
         "turns": 1.0,
         "travel": 0.0,
         "margin": 0.06,
+        "backdrop": 0.5,
     }
     run, trained = f"{name}-{method}", warmup | {"method": method}
     return (

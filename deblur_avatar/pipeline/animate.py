@@ -46,6 +46,8 @@ class AnimationParams(Params):
     turns: float  # of the stage from the first frame to the last, so that every side is seen
     travel: Fraction  # of the motion's steps; 0 is on the spot
     margin: NonNegative  # around the person, as a share of the picture she fills
+    # sRGB grey behind her: black hair, and what stands off black clothes, cannot be seen on black.
+    backdrop: Fraction
 
 
 logger = logging.getLogger(__name__)
@@ -92,7 +94,8 @@ def animate(
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from None
     logger.info("%d frames of %s at %g a second", len(shot.poses.transl), params.motion, params.fps)
-    return render_shot(avatar_from_artifact(avatar, observations.body, device), shot, progress)
+    model = avatar_from_artifact(avatar, observations.body, device)
+    return render_shot(model, shot, progress, params.backdrop)
 
 
 def _motion(

@@ -74,13 +74,30 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     changed = content(path)
     assert changed["scenes"]["anna"]["clip"]["field_of_view"] == 75.0
     assert set(changed["runs"]) == {"anna-lean", "anna-agnostic"}
-    assert changed["runs"]["anna-lean"]["avatar"] == "lean"
+    assert changed["runs"]["anna-lean"]["avatar"] == "inpainted"
     assert changed["runs"]["anna-agnostic"]["avatar"] == "paper"
     assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
     assert "avatar.html" in changed["exports"]["anna-lean"]["files"]
     assert set(changed["exports"]["anna-agnostic"]["files"]) == {
         "rig.glb", "pose.ply", "motion.bvh", "motion.npz",
     }  # fmt: skip
+
+
+def test_an_older_folder_keeps_its_recipe(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    older = path.read_text().replace("inpainted", "lean")
+    path.write_text(older)
+    prepare(video, "anna", "lean", "medium", root)
+    assert path.read_text() == older
+
+
+def test_an_older_animation_stays_on_black_and_a_new_one_is_on_grey(root: Path, video: Path):
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    assert content(path)["animations"]["anna-lean"]["backdrop"] == 0.5
+    path.write_text(path.read_text().replace("    backdrop: 0.5\n", ""))
+    prepare(video, "anna", "paper", "medium", root)
+    shown = {name: section["backdrop"] for name, section in content(path)["animations"].items()}
+    assert shown == {"anna-lean": 0.0, "anna-paper": 0.5}
 
 
 def test_what_the_user_noted_stays(root: Path, video: Path):
@@ -428,7 +445,7 @@ def test_what_is_not_installed_is_said_before_anything_is_written(root, video, m
 def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch, caplog, method):
     monkeypatch.chdir(root)
     folder = Path("avatars/anna")
-    recipe, page = ("lean" if method == "lean" else "paper"), folder / "avatar.html"
+    recipe, page = ("inpainted" if method == "lean" else "paper"), folder / "avatar.html"
     seen = {}
 
     def make(word):
@@ -471,7 +488,7 @@ def test_a_first_look_is_not_of_an_earlier_fit(root, video, scene, monkeypatch, 
         if word.startswith("warmup"):  # other masks, say
             scene.observations.save(folder / "data/preprocess/anna/blurred")
             avatar = dataclasses.replace(scene.avatar, iteration=480)
-            avatar.save(folder / "data/warmup/anna-blurred-lean/avatar")
+            avatar.save(folder / "data/warmup/anna-blurred-inpainted/avatar")
         return 3 if word.startswith("evaluate") else 0
 
     Pipeline(monkeypatch, make)

@@ -175,7 +175,8 @@ def test_a_shared_file_without_sections_is_refused(tmp_path):
 @pytest.mark.parametrize("value", [".inf", ".nan"])
 def test_numbers_of_parameters_are_finite(tmp_path, value):
     text = f"""a: {{scene: s, motion: own, start: 0.0, seconds: 1.0, fps: 25.0, image_size: 64,
-  turns: {value}, travel: 0.0, margin: 0.1}}"""
+  turns: {value}, travel: 0.0, margin: 0.1,
+  backdrop: 0.0}}"""
     with pytest.raises(ConfigError, match="turns: input should be a finite number"):
         load_params(written(tmp_path, text), "a", AnimationParams)
 

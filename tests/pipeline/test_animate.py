@@ -11,7 +11,7 @@ from tests.conftest import colourful
 
 PARAMS = AnimationParams(
     scene="capsules", motion="builtin:jumping_jacks", start=0.0, seconds=1.0, fps=6.0,
-    image_size=32, turns=1.0, travel=0.0, margin=0.1,
+    image_size=32, turns=1.0, travel=0.0, margin=0.1, backdrop=0.0,
 )  # fmt: skip
 
 
@@ -63,6 +63,15 @@ def test_the_avatars_shape_is_kept_whatever_the_estimates_say(body, observations
     poses = dataclasses.replace(observations.poses, betas=torch.tensor([0.0, 5.0]))
     again = shown(body, dataclasses.replace(observations, poses=poses), seconds=0.1)
     assert torch.equal(thin, again)
+
+
+def test_behind_the_person_is_the_grey_that_was_asked_for(body, observations):
+    black, grey = (shown(body, observations, seconds=0.3, backdrop=b)[0].int() for b in (0.0, 0.5))
+    assert (black[0, 0] == 0).all()
+    assert (grey[0, 0] == 128).all()
+    assert (grey >= black).all()
+    inside = black.amax(-1) > 150
+    assert (grey - black).abs()[inside].float().mean() < 12  # she is nearly opaque
 
 
 def test_an_amass_file_drives_the_avatar(body, observations, tmp_path):

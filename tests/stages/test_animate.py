@@ -10,7 +10,7 @@ PARAMS = """\
 seed: 0
 animations:
   capsules-agnostic: {scene: capsules, motion: MOTION, start: 0.0, seconds: 0.5, fps: 8.0,
-    image_size: 32, turns: 1.0, travel: 0.0, margin: 0.1}
+    image_size: 32, turns: 1.0, travel: 0.0, margin: 0.1, backdrop: 0.5}
 """
 
 
