@@ -183,7 +183,8 @@ def _recipe(content: dict[str, Any], run: str, recipes: dict[str, Any]) -> str:
     if isinstance(said, dict) and said.get("avatar") in recipes:
         return str(said["avatar"])
     method = run.partition("-")[2]
-    return OF_VIDEOS.get(method) or (method if method in recipes else DEFAULT_AVATAR)
+    own = (OF_VIDEOS.get(method), method)
+    return next((name for name in own if name in recipes), DEFAULT_AVATAR)
 
 
 def _with_method(

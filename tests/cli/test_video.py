@@ -83,6 +83,13 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     }  # fmt: skip
 
 
+def test_where_there_is_no_recipe_for_videos_the_methods_own_is_taken(root: Path, video: Path):
+    shared = root / "params.yaml"
+    shared.write_text(shared.read_text().replace("\n  inpainted:", "\n  another:"))
+    path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
+    assert content(path)["runs"]["anna-lean"]["avatar"] == "lean"
+
+
 def test_an_older_folder_keeps_its_recipe(root: Path, video: Path):
     path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
     older = path.read_text().replace("inpainted", "lean")
