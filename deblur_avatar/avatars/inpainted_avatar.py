@@ -17,10 +17,10 @@ import torch
 from jaxtyping import Bool, Float, Float64
 from scipy.sparse import csr_matrix, diags_array
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.gaussians import neighbour_indices
 from deblur_avatar.avatars.params import AvatarParams, FittingParams
 from deblur_avatar.avatars.plain_avatar import COLORS, PlainAvatar, PlainFitting
 from deblur_avatar.config.section import Positive
@@ -77,7 +77,7 @@ class InpaintedAvatar(PlainAvatar):
         """
         device, count = self.betas.device, len(poses.transl)
         camera = camera.to(device)
-        chosen = np.unique(np.linspace(0, count - 1, min(LOOKS, count)).round().astype(int))
+        chosen = np.linspace(0, count - 1, min(LOOKS, count)).round().astype(int)
         some = poses.at(chosen.tolist())
         rotations = axis_angle_to_matrix(some.axis_angle)
         most = torch.zeros(len(self.gaussians), device=device)
@@ -124,9 +124,9 @@ def inpainted(
 
 def neighbour_weights(points: Float64[np.ndarray, "N 3"]) -> csr_matrix:
     """Symmetric weights [N,N] of nearest neighbours, nearer ones weighing more."""
-    count = min(NEIGHBOURS, len(points) - 1)
-    distances, indices = cKDTree(points).query(points, k=[*range(2, count + 2)], workers=-1)
+    indices = neighbour_indices(torch.from_numpy(points), NEIGHBOURS).numpy()
+    distances = np.linalg.norm(points[indices] - points[:, None], axis=-1)
     weights = FAR + np.exp(-((distances / np.median(distances)) ** 2))
-    rows = np.repeat(np.arange(len(points)), count)
+    rows = np.repeat(np.arange(len(points)), indices.shape[1])
     links = csr_matrix((weights.ravel(), (rows, indices.ravel())), shape=(len(points),) * 2)
     return links.maximum(links.T)

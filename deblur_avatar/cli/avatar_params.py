@@ -70,7 +70,7 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
     else:
         read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
         content = _new(name, video)
-    recipe = _recipe(content, f"{name}-{method}", section_of(shared, source, "avatars", dict))
+    recipe = _recipe(content, name, method, section_of(shared, source, "avatars", dict))
     kind = section_of(shared, source, f"avatars.{recipe}.model.kind", str)
     content = _with_method(content, name, method, recipe, kind)
     if schedule is not None:
@@ -177,12 +177,11 @@ def _files(kind: str) -> dict[str, Any]:
     }
 
 
-def _recipe(content: dict[str, Any], run: str, recipes: dict[str, Any]) -> str:
-    """What a run is fitted by: what an avatar's file says, or what a new one gets."""
-    said = content["runs"].get(run)
+def _recipe(content: dict[str, Any], name: str, method: str, recipes: dict[str, Any]) -> str:
+    """What a method's run is fitted by: what an avatar's file says, or what a new one gets."""
+    said = content["runs"].get(f"{name}-{method}")
     if isinstance(said, dict) and said.get("avatar") in recipes:
         return str(said["avatar"])
-    method = run.partition("-")[2]
     own = (OF_VIDEOS.get(method), method)
     return next((name for name in own if name in recipes), DEFAULT_AVATAR)
 
