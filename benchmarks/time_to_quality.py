@@ -36,8 +36,8 @@ from deblur_avatar.bodies.registry import BodyParams
 from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
-from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.evaluation.truth_views import truth_views
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.methods import MethodParams
 from deblur_avatar.pipeline.blur import BlurParams, blur
 from deblur_avatar.pipeline.body import build_body

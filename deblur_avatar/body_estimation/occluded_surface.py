@@ -9,6 +9,7 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_meshes, shaped_vertices
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.rendering.mesh_rendering import View
 from deblur_avatar.rendering.visibility import seen_cells
 
@@ -25,9 +26,8 @@ def occluded_fraction(body: Body, poses: Poses, cameras: Cameras, camera: int) -
         cameras: without distortion.
         camera: the one that films.
     """
-    count = len(poses.transl)
-    chosen = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).round().astype(int))
-    frames = [mesh.double().numpy() for mesh in posed_meshes(body, poses.at(chosen.tolist()))]
+    some = poses.at(evenly_spaced(range(len(poses.transl)), FRAMES))
+    frames = [mesh.double().numpy() for mesh in posed_meshes(body, some)]
     faces = body.faces.numpy()
     seen = seen_cells(frames, faces, View.of(cameras, camera, 1), CELLS)[:, 0, 0]
     corners = shaped_vertices(body, poses.betas).double().numpy()[faces]

@@ -13,9 +13,9 @@ from deblur_avatar.config.reading import load_params
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
-from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.shown_motion import ShownMotion, shown_motions
+from deblur_avatar.geometry.spacing import evenly_spaced
 
 SECONDS, FPS = 10.0, 30.0  # of motions that were not filmed
 FRAMES = 3  # that a point of the curve is a mean over

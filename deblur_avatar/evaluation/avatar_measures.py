@@ -25,9 +25,9 @@ from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
 from deblur_avatar.evaluation.reblur import reblurred
-from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.geometry.spacing import evenly_spaced
 
 MARGIN = 0.15  # metres that clothes and hair may stand off the body
 FRAMES = 12  # of the training camera that are looked at

@@ -18,6 +18,7 @@ from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import as_filmed, render_avatar
 from deblur_avatar.evaluation.reblur import poses_of_exposure
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.metrics import psnr
 
 Files = dict[str, UInt8[Tensor, "H W 3"]]
@@ -39,11 +40,10 @@ def reconstruct_held_out(
     model = avatar_from_artifact(avatar, observations.body, device)
     frames = observations.validation or observations.train
     frames = tuple(f for f in frames if observations.weights[f] > 0) or frames
-    steps = torch.linspace(0, len(frames) - 1, min(max_frames, len(frames))).round().long().tolist()
     files: Files = {}
     index = []
     name = observations.cameras.names[observations.train_camera]
-    for position in [frames[step] for step in steps]:
+    for position in evenly_spaced(frames, max_frames):
         exposed = poses_of_exposure(observations.body, motion, position, observations.train)
         middle = exposed.at([len(exposed.transl) // 2])
         render = _render(model, observations, middle, position, average=False)

@@ -11,9 +11,9 @@ from torch import Tensor
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.body_silhouette import INSIDE, body_triangles
-from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.geometry.spacing import evenly_spaced
 
 SAMPLES = 24  # frames whose silhouettes are compared
 

@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.background_features import (
     FEWEST,
     Features,
@@ -127,7 +128,7 @@ def _mosaic(
     frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"], alignment: Alignment
 ) -> Plate:
     """The (lower) median of the aligned frames that are bare of the person."""
-    chosen = np.linspace(0, len(frames) - 1, min(MOSAIC_FRAMES, len(frames))).round().astype(int)
+    chosen = evenly_spaced(range(len(frames)), MOSAIC_FRAMES)
     wide, tall = alignment.size
     values = np.full((len(chosen), tall, wide, 3), 255, np.uint8)
     count = np.zeros((tall, wide), np.int32)

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.geometry.spacing import evenly_spaced
+
 STILL = 0.01  # of the picture's width, that a corner of a still camera's background may move
 CORNERS = 300  # features followed from one sampled frame to the next
 SAMPLES = 12  # frames
@@ -31,7 +33,7 @@ def background_travel(
     Returns:
         None if the background has too little to follow.
     """
-    chosen = np.linspace(0, len(frames) - 1, min(SAMPLES, len(frames))).round().astype(int)
+    chosen = evenly_spaced(range(len(frames)), SAMPLES)
     greys = [cv2.cvtColor(frames[i].numpy(), cv2.COLOR_RGB2GRAY) for i in chosen]
     open_ = [background_mask(mattes[i]).numpy().astype(np.uint8) for i in chosen]
     height, width = mattes.shape[1:]

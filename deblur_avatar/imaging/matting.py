@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.exposure import AveragingSpace, decode, encode
 from deblur_avatar.run import in_threads
 
@@ -43,7 +44,7 @@ def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F 
     bare = mattes < BARE
     path = near_person((mattes > 0).any(0)[None])[0]
     known = ~path | (bare.sum(0) >= ENOUGH)
-    some = torch.linspace(0, len(frames) - 1, min(GLANCES, len(frames))).round().long()
+    some = evenly_spaced(range(len(frames)), GLANCES)
     picture = frames[some].sort(dim=0).values[(len(some) - 1) // 2]
     picture[path] = 0
     wanted = path & known

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.background_features import FEWEST, FrameFeatures, matches
 
 SAMPLES = 5  # frames, each compared with each
@@ -30,7 +31,7 @@ def has_parallax(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"
     Returns:
         True also where too little can be matched to tell: nothing is ruled out by it.
     """
-    chosen = np.linspace(0, len(frames) - 1, min(SAMPLES, len(frames))).round().astype(int)
+    chosen = evenly_spaced(range(len(frames)), SAMPLES)
     found = FrameFeatures(frames[chosen]).beside(mattes[chosen])
     unmatched = False  # of neighbours
     for (before, key), (after, other) in combinations(enumerate(found), 2):

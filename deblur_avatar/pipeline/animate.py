@@ -27,6 +27,7 @@ from deblur_avatar.config.section import (
     Positive,
 )
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 
 
@@ -120,8 +121,7 @@ def _motion(
 
 def sheet_of(frames: UInt8[Tensor, "F H W 3"], fps: float) -> UInt8[np.ndarray, "_ _ 3"]:
     """Some frames from the first to the last in one picture, each with its time."""
-    count = min(SHEET_FRAMES, len(frames))
-    chosen = np.linspace(0, len(frames) - 1, count).round().astype(int)
+    chosen = evenly_spaced(range(len(frames)), SHEET_FRAMES)
     side = min(SHEET_SIDE, frames.shape[1])
     pictures = [
         cv2.resize(frames[i].numpy(), (side, side), None, 0, 0, cv2.INTER_AREA) for i in chosen

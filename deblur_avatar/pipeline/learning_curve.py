@@ -20,8 +20,8 @@ from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
 from deblur_avatar.evaluation.metrics import recovered_metrics
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
-from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
+from deblur_avatar.geometry.spacing import evenly_spaced
 
 VIEWS = (
     12  # test views that each snapshot is compared with, evenly spaced over cameras and instants

@@ -25,8 +25,8 @@ from deblur_avatar.evaluation.avatar_measures import (
     turntable,
 )
 from deblur_avatar.evaluation.findings import Scale, judged, worst
-from deblur_avatar.evaluation.spacing import evenly_spaced
 from deblur_avatar.evaluation.torn_parts import parts_open
+from deblur_avatar.geometry.spacing import evenly_spaced
 
 _SURROUNDINGS = (
     "The avatar holds something that is not the person: look at masks and background "

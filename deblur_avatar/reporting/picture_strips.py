@@ -18,7 +18,7 @@ from jaxtyping import UInt8
 from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.evaluation.spacing import evenly_spaced
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.reporting.results_table import method_order

@@ -14,6 +14,7 @@ from jaxtyping import UInt8
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.evaluation.avatar_measures import Look
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.reporting.findings_table import findings_table
 from deblur_avatar.reporting.page import picture_uri, render_page
@@ -36,8 +37,7 @@ def draw_self_check(
         filmed: averaged renders by position.
         sides: renders from all sides.
     """
-    steps = np.linspace(0, len(filmed) - 1, min(FRAMES, len(filmed))).round().astype(int)
-    chosen = [list(filmed)[step] for step in steps]
+    chosen = evenly_spaced(list(filmed), FRAMES)
     frames = [_scaled(observations.frames[position].numpy()) for position in chosen]
     renders = [_scaled(_marked(filmed[position])) for position in chosen]
     labels = [f"frame {observations.frame_indices[position]}" for position in chosen]

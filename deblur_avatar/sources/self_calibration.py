@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import UInt8
 from torch import Tensor
 
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.camera_motion import background_mask
 from deblur_avatar.imaging.parallax import has_parallax
 from deblur_avatar.imaging.picture_files import write_picture
@@ -57,7 +58,7 @@ def calibrate_focal(
         return None, "the camera turned or drifted in one place, which does not tell it"
     import pycolmap  # 134 MB of libraries, for those alone who need them
 
-    chosen = np.linspace(0, len(frames) - 1, min(MAX_FRAMES, len(frames))).round().astype(int)
+    chosen = evenly_spaced(range(len(frames)), MAX_FRAMES)
     logger.info("the camera moves: its focal length is looked for in %d frames", len(chosen))
     with tempfile.TemporaryDirectory() as scratch, _quiet(pycolmap):
         folder = Path(scratch)

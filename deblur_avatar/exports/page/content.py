@@ -33,6 +33,7 @@ from deblur_avatar.exports.shown_motion import ShownMotion
 from deblur_avatar.geometry.cameras import camera_centres
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, axis_angle_to_quat
 from deblur_avatar.geometry.skinning import invert_rigid
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.readers.picture_codec import encoded
 from deblur_avatar.rendering import conventions
 
@@ -202,10 +203,6 @@ def _places(shown: Shown, motion: ShownMotion) -> Float[Tensor, "points 3"]:
     return places.flatten(0, 1)
 
 
-def _evenly_spaced(length: int, count: int) -> list[int]:
-    return np.unique(np.linspace(0, length - 1, count).round().astype(int)).tolist()
-
-
 def _about_frame(run: FittedRun, index: int) -> dict[str, Any]:
     """Number and time of a frame, in seconds after the first."""
     times = run.motion.timestamps.double()
@@ -219,7 +216,7 @@ def _about_frame(run: FittedRun, index: int) -> dict[str, Any]:
 def _frames(run: FittedRun, count: int) -> Iterator[tuple[list[int], dict[str, Packed]]]:
     """Which frames go along, and their files: the most and best first, none last."""
     for share in SHARES:
-        taken = _evenly_spaced(len(run.observations.frames), int(share * count))
+        taken = evenly_spaced(range(len(run.observations.frames)), int(share * count))
         for quality in QUALITIES if taken else QUALITIES[:1]:
             files = _picture_files("frame", run.observations, taken, quality)
             if run.sharp is not None:

@@ -1,6 +1,6 @@
 """Tests of evenly spaced choices."""
 
-from deblur_avatar.evaluation.spacing import evenly_spaced
+from deblur_avatar.geometry.spacing import evenly_spaced
 
 
 def test_first_and_last_are_among_an_even_choice():
