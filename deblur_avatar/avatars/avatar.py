@@ -23,6 +23,7 @@ from deblur_avatar.artifacts.avatar import (
     part_on_disk,
 )
 from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.gaussian_edits import Edits
 from deblur_avatar.avatars.gaussians import Gaussians
@@ -277,13 +278,13 @@ class AvatarModel(nn.Module, ABC):
     def fill_untrained_latents(self, trained: Sequence[int]) -> None:
         """Give frames that were not trained on what belongs to one frame."""
 
-    def inpaint(self, fitting: Any, poses: Poses, camera: Camera) -> None:
+    def inpaint(self, fitting: Any, observations: Observations, centre: Poses) -> None:
         """Give what no frame shows the looks of what is beside it, of kinds that do, once fitted.
 
         Args:
             fitting: of its class `Fitting`.
-            poses: at the middle of each frame that was trained on.
-            camera: that filmed them.
+            observations: that it was fitted to.
+            centre: poses at the middle of each frame.
         """
 
     def invalidate_neighbours(self) -> None:

@@ -18,7 +18,7 @@ AVATARS: Registry[AvatarModel] = Registry(
         "gauhuman": "deblur_avatar.avatars.gauhuman_avatar:GauhumanAvatar",
         "gomavatar": "deblur_avatar.avatars.gomavatar_avatar:GomavatarAvatar",
         "humannerf_small": "deblur_avatar.avatars.humannerf_small_avatar:HumannerfSmallAvatar",
-        "inpainted": "deblur_avatar.avatars.inpainted_avatar:InpaintedAvatar",
+        "one_sided": "deblur_avatar.avatars.one_sided_avatar:OneSidedAvatar",
         "networks": "deblur_avatar.avatars.networks_avatar:NetworksAvatar",
         "plain": "deblur_avatar.avatars.plain_avatar:PlainAvatar",
     }

@@ -18,6 +18,21 @@ def elongation(log_scales: Float[Tensor, "N 3"], longest: float) -> Float[Tensor
     return (ordered[:, 2] - ordered[:, 1] - math.log(longest)).relu().mean()
 
 
+def excess_height(
+    heights: Float[Tensor, " N"], reach: Float[Tensor, " N"], most: float
+) -> Float[Tensor, ""]:
+    """By how many metres more than `most` Gaussians reach off the body's surface, mean.
+
+    A hinge leaves clothes alone, and draws back what is beyond as hard however far it reaches.
+
+    Args:
+        heights: metres along the outward normal, negative inside.
+        reach: metres across the surface, from a Gaussian's mean.
+        most: metres, to either side.
+    """
+    return (heights.abs() + reach - most).relu().mean()
+
+
 def skinning_distance(
     weights: Float[Tensor, "P J"], body_weights: Float[Tensor, "P J"]
 ) -> Float[Tensor, ""]:

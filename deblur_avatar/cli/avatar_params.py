@@ -22,11 +22,11 @@ from deblur_avatar.sources.footage import read_footage
 
 PAGE = "avatar.html"
 BODY = "anny"
-ON_A_PAGE = {"plain", "inpainted"}  # kinds of avatars without networks
+ON_A_PAGE = {"plain", "one_sided"}  # kinds of avatars without networks
 ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
 DEFAULT_AVATAR = "paper"
 # Of methods to which a video of one's own is another recipe than a scene: people rarely turn.
-OF_VIDEOS = {"lean": "inpainted"}
+OF_VIDEOS = {"lean": "one_sided"}
 ADDED_TO = (
     "warmups",
     "runs",

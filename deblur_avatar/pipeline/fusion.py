@@ -75,7 +75,7 @@ def fuse(
     )
     refined = trajectory.to_artifact(model.betas, observations.timestamps)
     cost = fit.cost(seconds)
-    model.inpaint(recipe.fitting, refined.centre.at(observations.shown), observations.camera)
+    model.inpaint(recipe.fitting, observations, refined.centre)
     return model.to_artifact(schedule.fusion), refined, cost
 
 

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from deblur_avatar.avatars.regularisers import elongation, skinning_distance
+from deblur_avatar.avatars.regularisers import elongation, excess_height, skinning_distance
 from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
@@ -36,3 +36,21 @@ def test_only_what_is_much_longer_than_wide_is_held_against_it():
 def test_the_gradient_of_elongation_is_that_of_its_value():
     scales = torch.randn(6, 3, generator=seeded(), dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda x: elongation(x, 2.0), scales)
+
+
+def test_only_what_reaches_beyond_the_most_counts_to_either_side_of_the_surface():
+    heights = torch.tensor([0.0, 0.03, -0.03, 0.05, -0.04, 0.01])
+    flat = torch.zeros(6)
+    assert excess_height(heights, flat, 0.03).item() == pytest.approx((0.02 + 0.01) / 6)
+    assert excess_height(-heights, flat, 0.03) == excess_height(heights, flat, 0.03)
+    assert excess_height(heights[:3], flat[:3], 0.03) == 0
+    thick = torch.tensor([0.03, 0.0, 0.0, 0.0, 0.0, 0.05])  # one that just does not, one that does
+    assert excess_height(heights, thick, 0.03).item() == pytest.approx((0.02 + 0.01 + 0.03) / 6)
+
+
+def test_a_height_is_drawn_back_as_hard_however_large_it_is():
+    heights = torch.tensor([0.0, 0.031, 0.3, -0.09], requires_grad=True)
+    excess_height(heights, torch.zeros(4), 0.03).backward()
+    assert heights.grad.tolist() == pytest.approx([0, 0.25, 0.25, -0.25])
+    values = torch.randn(2, 8, generator=seeded(), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: excess_height(x[0], x[1].abs(), 0.5), values)

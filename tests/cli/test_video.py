@@ -74,7 +74,7 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
     changed = content(path)
     assert changed["scenes"]["anna"]["clip"]["field_of_view"] == 75.0
     assert set(changed["runs"]) == {"anna-lean", "anna-agnostic"}
-    assert changed["runs"]["anna-lean"]["avatar"] == "inpainted"
+    assert changed["runs"]["anna-lean"]["avatar"] == "one_sided"
     assert changed["runs"]["anna-agnostic"]["avatar"] == "paper"
     assert set(changed["animations"]) == {"anna-lean", "anna-agnostic"}
     assert "avatar.html" in changed["exports"]["anna-lean"]["files"]
@@ -85,14 +85,14 @@ def test_what_the_user_changed_stays(root: Path, video: Path):
 
 def test_where_there_is_no_recipe_for_videos_the_methods_own_is_taken(root: Path, video: Path):
     shared = root / "params.yaml"
-    shared.write_text(shared.read_text().replace("\n  inpainted:", "\n  another:"))
+    shared.write_text(shared.read_text().replace("\n  one_sided:", "\n  another:"))
     path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
     assert content(path)["runs"]["anna-lean"]["avatar"] == "lean"
 
 
 def test_an_older_folder_keeps_its_recipe(root: Path, video: Path):
     path = prepare(video, "anna", "lean", "medium", root).folder / "params.yaml"
-    older = path.read_text().replace("inpainted", "lean")
+    older = path.read_text().replace("one_sided", "lean")
     path.write_text(older)
     prepare(video, "anna", "lean", "medium", root)
     assert path.read_text() == older
@@ -452,7 +452,7 @@ def test_what_is_not_installed_is_said_before_anything_is_written(root, video, m
 def test_a_first_look_is_shown_after_the_warm_up(root, video, scene, monkeypatch, caplog, method):
     monkeypatch.chdir(root)
     folder = Path("avatars/anna")
-    recipe, page = ("inpainted" if method == "lean" else "paper"), folder / "avatar.html"
+    recipe, page = ("one_sided" if method == "lean" else "paper"), folder / "avatar.html"
     seen = {}
 
     def make(word):
@@ -495,7 +495,7 @@ def test_a_first_look_is_not_of_an_earlier_fit(root, video, scene, monkeypatch, 
         if word.startswith("warmup"):  # other masks, say
             scene.observations.save(folder / "data/preprocess/anna/blurred")
             avatar = dataclasses.replace(scene.avatar, iteration=480)
-            avatar.save(folder / "data/warmup/anna-blurred-inpainted/avatar")
+            avatar.save(folder / "data/warmup/anna-blurred-one_sided/avatar")
         return 3 if word.startswith("evaluate") else 0
 
     Pipeline(monkeypatch, make)

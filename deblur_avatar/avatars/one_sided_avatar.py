@@ -1,0 +1,182 @@
+"""Plain avatars of a person whom one camera sees from few sides.
+
+Colours. Likeness of neighbours (`plain_avatar.py`) carries colours to the side that is not seen
+only as far as a fit has steps for: its penalty is absolute, so that a patch which nothing has
+coloured moves at its edge alone, and what is far from that keeps the grey it began with. Once the
+avatar is fitted, the same penalty is brought to its minimum over Gaussians whose light no frame
+shows: total variation inpainting (Chan and Shen, "Nontexture inpainting by curvature-driven
+diffusions", JVCIR 2001) on the graph of nearest neighbours, by reweighted least squares
+(Daubechies et al., CPAM 2010). It ends where a shirt ends, which a mean would not. What goes on is
+what was seen well: at the edge of what the camera sees lie Gaussians that a few pixels show, half
+coloured, and a rim of them would be all that the other side is filled from.
+
+Heights. Along the camera's line of sight a Gaussian may stand anywhere and be as thick as it likes,
+and where poses are a little off it makes up for them by reaching in front of the body or behind it,
+which another side sees as fluff. So none reaches farther off than clothes do, unless pictures ask
+for it.
+"""
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64
+from pydantic import model_validator
+from scipy.sparse import csr_matrix, diags_array
+from scipy.sparse.linalg import splu
+from torch import Tensor
+
+from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
+from deblur_avatar.avatars.gaussians import neighbour_indices
+from deblur_avatar.avatars.params import AvatarParams, FittingParams
+from deblur_avatar.avatars.plain_avatar import (
+    COLORS,
+    HEIGHT,
+    PlainAvatar,
+    PlainFitting,
+    SmoothnessParams,
+)
+from deblur_avatar.avatars.regularisers import excess_height
+from deblur_avatar.avatars.splats import SplatRendering
+from deblur_avatar.config.section import NonNegative, Positive
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.geometry.spacing import evenly_spaced
+from deblur_avatar.rendering.covariance_factors import covariance_factors
+
+LOOKS = 48  # frames at most, spread over the clip
+NEIGHBOURS = 8
+FAR = 1e-4  # weight of a neighbour however far it is, so that no Gaussian is alone
+OWN = 1e-9  # of a Gaussian's own colour, where all that it is connected with is unseen
+ROUNDS = 12  # of reweighting; the first one's colours are harmonic
+ALIKE = 0.01  # colours this near to each other count as one
+DARKEST = 1e-3  # colours stay this far from black and white, whose logits are infinite
+CLOTHES = 0.03  # metres that a Gaussian may reach off the body, to either side
+REACH = 2.0  # standard deviations across the surface that it reaches
+
+
+class OneSidedParams(AvatarParams):
+    """Nothing to choose."""
+
+    kind: Literal["one_sided"]
+
+
+class OneSidedSmoothness(SmoothnessParams):
+    """A plain avatar's, and a weight of heights themselves."""
+
+    near_body: NonNegative  # no Gaussian reaches farther off the body than clothes do
+
+
+class OneSidedFitting(PlainFitting):
+    """As a plain one; and of how many pixels each Gaussian shows in the frame of most."""
+
+    least_pixels: Positive  # with fewer its colour is unknown
+    sure_pixels: Positive  # with as many it may go on to others
+    regularisers: OneSidedSmoothness
+
+    @model_validator(mode="after")
+    def _sure_is_known(self) -> "OneSidedFitting":
+        least, sure = self.least_pixels, self.sure_pixels
+        if sure < least:
+            raise ValueError(f"sure_pixels: {sure} is less than least_pixels, {least}")
+        return self
+
+
+class OneSidedAvatar(PlainAvatar):
+    """A plain avatar that stays near its body, and whose colours go on where no frame shows any."""
+
+    kind = "one_sided"
+    Params: ClassVar[type[AvatarParams]] = OneSidedParams
+    Fitting: ClassVar[type[FittingParams]] = OneSidedFitting
+
+    def regularisers(self, rendering: SplatRendering, step: TrainingStep) -> Regularisers:
+        """A plain avatar's; and Gaussians stay near the body."""
+
+        def near_body() -> Tensor:
+            gaussians, surface = self.gaussians, self._surface()
+            factors = covariance_factors(gaussians.quats, gaussians.scales)
+            reach = REACH * (surface.normals[:, None] @ factors)[:, 0].norm(dim=1)
+            return excess_height(surface.heights(gaussians.means), reach, CLOTHES) / HEIGHT
+
+        return {**super().regularisers(rendering, step), "near_body": near_body}
+
+    def inpaint(self, fitting: OneSidedFitting, observations: Observations, centre: Poses) -> None:
+        """Fill in the colours of Gaussians that show too little of themselves in every frame."""
+        pixels = self.most_pixels(observations, centre).cpu().numpy()
+        unknown, sure = pixels < fitting.least_pixels, pixels >= fitting.sure_pixels
+        if not unknown.any() or not sure.any():
+            return
+        features = self.gaussians.features
+        colors = features[:, :COLORS].detach().sigmoid().cpu().double().numpy()
+        means = self.gaussians.means.detach().cpu().double().numpy()
+        filled = torch.from_numpy(inpainted(means, colors, sure)[unknown])
+        logits = filled.clamp(DARKEST, 1 - DARKEST).logit().to(features)
+        with torch.no_grad():
+            features[torch.from_numpy(unknown).to(features.device), :COLORS] = logits
+
+    def most_pixels(self, observations: Observations, centre: Poses) -> Float[Tensor, " N"]:
+        """How many of the person's pixels each Gaussian colours, in the frame of most.
+
+        Pixels count by their mattes, and not where colours are not compared.
+
+        Args:
+            observations: of whose training frames at most `LOOKS` are rendered.
+            centre: poses at the middle of each frame.
+        """
+        device, camera = self.betas.device, observations.camera
+        most = torch.zeros(len(self.gaussians), device=device)
+        for position in evenly_spaced(observations.shown, LOOKS):
+            pose = centre.at([position])
+            rotations = axis_angle_to_matrix(pose.axis_angle)
+            with torch.no_grad():
+                transforms = self.transforms(rotations, pose.transl)
+                state = self.condition(rotations[0].to(device), 0, transforms[0], camera.viewmat)
+            # Its colour's share of the picture's sum is what a Gaussian shows.
+            white = torch.ones_like(state.colors, requires_grad=True)
+            rendering = self.render(replace(state, colors=white), transforms, camera.to(device))
+            matte = (observations.mattes[position].float() / 255)[..., None].expand(-1, -1, 3)
+            told = observations.comparable_part(matte, position).to(device)
+            (pixels,) = torch.autograd.grad((rendering.image[0] * told).sum(), white)
+            most = torch.maximum(most, pixels[:, 0])
+        return most
+
+
+def inpainted(
+    points: Float64[np.ndarray, "N 3"],
+    values: Float64[np.ndarray, "N D"],
+    known: Bool[np.ndarray, " N"],
+) -> Float64[np.ndarray, "N D"]:
+    """Values that are known, and between them those of least total variation over neighbours.
+
+    What no known point is connected with becomes its own mean.
+
+    Args:
+        points: metres.
+        values: those of unknown points hardly count.
+        known: which values stay.
+    """
+    links = neighbour_weights(points)
+    unknown, outer = np.flatnonzero(~known), np.flatnonzero(known)
+    rows = links[unknown].tocoo()
+    here, there = unknown[rows.row], rows.col
+    filled = values.copy()
+    for turn in range(ROUNDS):
+        apart = np.linalg.norm(filled[here] - filled[there], axis=1).clip(ALIKE) if turn else 1.0
+        weights = csr_matrix((rows.data / apart, (rows.row, there)), shape=rows.shape)
+        total = np.asarray(weights.sum(1)).ravel() + OWN
+        inner = diags_array(total) - weights[:, unknown]
+        given = weights[:, outer] @ values[outer] + OWN * values[unknown]
+        filled[unknown] = splu(inner.tocsc()).solve(given)
+    return filled
+
+
+def neighbour_weights(points: Float64[np.ndarray, "N 3"]) -> csr_matrix:
+    """Symmetric weights [N,N] of nearest neighbours, nearer ones weighing more."""
+    indices = neighbour_indices(torch.from_numpy(points), NEIGHBOURS).numpy()
+    distances = np.linalg.norm(points[indices] - points[:, None], axis=-1)
+    weights = FAR + np.exp(-((distances / np.median(distances)) ** 2))
+    rows = np.repeat(np.arange(len(points)), indices.shape[1])
+    links = csr_matrix((weights.ravel(), (rows, indices.ravel())), shape=(len(points),) * 2)
+    return links.maximum(links.T)

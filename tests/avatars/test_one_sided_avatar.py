@@ -1,0 +1,280 @@
+"""Colours go on from what was seen, and Gaussians stay near the body."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deblur_avatar.avatars import one_sided_avatar
+from deblur_avatar.avatars.avatar import TrainingStep
+from deblur_avatar.avatars.one_sided_avatar import (
+    OneSidedAvatar,
+    OneSidedFitting,
+    OneSidedParams,
+    inpainted,
+    neighbour_weights,
+)
+
+GREY, RED, BLUE = [0.5] * 3, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8]
+
+
+def sheet(rows: int, columns: int) -> np.ndarray:
+    """Points a centimetre apart."""
+    y, x = np.mgrid[:rows, :columns]
+    return np.stack([x.ravel() * 0.01, y.ravel() * 0.01, np.zeros(x.size)], -1)
+
+
+def test_what_is_known_stays_and_one_colour_around_is_the_colour_within():
+    generator = np.random.default_rng(3)
+    points = generator.normal(size=(300, 3))
+    known = points[:, 2] > 0
+    values = np.where(known[:, None], [RED], [GREY])
+    filled = inpainted(points, values, known)
+    assert (filled[known] == values[known]).all()
+    np.testing.assert_allclose(filled, [RED] * 300, atol=1e-3)
+
+
+def test_a_border_goes_on_across_what_is_unknown():
+    """Red above, blue below, left and right of a gap of grey: the shortest border is straight."""
+    points = sheet(20, 30)
+    truth = np.where(points[:, 1:2] < 0.095, [RED], [BLUE])
+    known = (points[:, 0] < 0.105) | (points[:, 0] > 0.185)
+    values = np.where(known[:, None], truth, [GREY])
+    filled = inpainted(points, values, known)
+    away = np.abs(points[:, 1] - 0.095) > 0.02
+    np.testing.assert_allclose(filled[away], truth[away], atol=0.05)
+
+
+def test_values_stay_among_those_that_are_known():
+    generator = np.random.default_rng(5)
+    points, values = generator.normal(size=(200, 3)), generator.random((200, 3))
+    known = points[:, 0] > 0.3
+    filled = inpainted(points, values, known)
+    low, high = values[known].min(0), values[known].max(0)
+    assert ((filled >= low - 1e-6) & (filled <= high + 1e-6)).all()
+
+
+def test_neither_order_nor_place_nor_size_matters():
+    generator = np.random.default_rng(4)
+    points, values = generator.normal(size=(200, 3)), generator.random((200, 3))
+    known = points[:, 0] > 0
+    filled = inpainted(points, values, known)
+    moved = inpainted(3 * points + 5, values, known)
+    np.testing.assert_allclose(moved, filled, atol=1e-6)
+    order = generator.permutation(200)
+    other = inpainted(points[order], values[order], known[order])
+    np.testing.assert_allclose(other, filled[order], atol=1e-6)
+
+
+def test_what_no_known_point_is_connected_with_becomes_its_mean():
+    near, far = sheet(1, 12), sheet(1, 12) + 100.0
+    values = np.concatenate([np.full((12, 1), 0.9), np.full((6, 1), 0.2), np.full((6, 1), 0.4)])
+    known = np.arange(24) < 12
+    filled = inpainted(np.concatenate([near, far]), values, known)
+    np.testing.assert_allclose(filled[12:], 0.3, atol=1e-2)
+
+
+def test_neighbours_weigh_by_nearness_both_ways_and_none_itself():
+    points = np.random.default_rng(6).normal(size=(100, 3))
+    weights = neighbour_weights(points).toarray()
+    assert (weights == weights.T).all()
+    assert (np.diag(weights) == 0).all()
+    assert ((weights > 0).sum(1) >= 8).all()
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    order = np.argsort(apart[weights > 0])
+    assert (np.diff(weights[weights > 0][order]) <= 0).all()
+    assert weights[weights > 0].max() > 2 * weights[weights > 0].min()
+
+
+@pytest.fixture
+def grey(body, sharpened):
+    """A person who stands still, and three frames that are all hers, two of them to fit."""
+    params, generator = OneSidedParams(kind="one_sided"), torch.Generator().manual_seed(0)
+    betas = torch.zeros(body.shape_dirs.shape[-1])
+    model = OneSidedAvatar.create(params, body, betas, 3, 800, "linear", generator)
+    with torch.no_grad():
+        model.gaussians.opacity_logits.fill_(6.0)
+    return model, sharpened(mattes=torch.full((5, 24, 24), 255, dtype=torch.uint8))
+
+
+@pytest.fixture
+def still(swinging):
+    return swinging(5, 0.0).at([0] * 5)
+
+
+def fitting(tiny_parameters, **changes):
+    settings = tiny_parameters["avatars"]["one_sided"]["fitting"] | {"least_pixels": 0.01}
+    return OneSidedFitting(**settings | {"sure_pixels": 0.01} | changes)
+
+
+def test_a_back_goes_on_in_the_colours_of_the_front(grey, still, tiny_parameters):
+    model, front = grey
+    shown = model.most_pixels(front, still) >= 0.01
+    assert 0.2 < shown.float().mean() < 0.9
+    with torch.no_grad():
+        model.gaussians.features[shown] = torch.tensor(RED).logit()
+    before = model.gaussians.features.detach().clone()
+    model.inpaint(fitting(tiny_parameters), front, still)
+    after = model.gaussians.features.detach()
+    assert torch.equal((after == before).all(-1), shown)
+    assert (before[~shown].sigmoid() - torch.tensor(RED)).abs().max() > 0.3
+    assert (after[~shown].sigmoid() - torch.tensor(RED)).abs().max() < 0.01
+
+
+def test_colours_at_the_edge_of_what_is_seen_stay_and_do_not_go_on(grey, still, tiny_parameters):
+    model, front = grey
+    pixels = model.most_pixels(front, still)
+    sure = float(pixels.quantile(0.7))
+    well, rim = pixels >= sure, (pixels >= 0.01) & (pixels < sure)
+    assert rim.sum() > 80
+    with torch.no_grad():
+        model.gaussians.features[rim] = torch.tensor(BLUE).logit()
+        model.gaussians.features[well] = torch.tensor(RED).logit()
+    model.inpaint(fitting(tiny_parameters, sure_pixels=sure), front, still)
+    after = model.gaussians.features.detach().sigmoid()
+    assert (after[rim] - torch.tensor(BLUE)).abs().max() < 1e-6
+    assert (after[~well & ~rim] - torch.tensor(RED)).abs().max() < 0.01
+
+
+def test_what_a_gaussian_shows_is_what_the_picture_has_of_it(grey, still):
+    model, front = grey
+    pixels = model.most_pixels(replace(front, train=(0,)), still)
+    rotations = torch.eye(3).expand(1, len(model.body.parents), 3, 3)
+    transforms = model.transforms(rotations, still.transl[:1])
+    state = model.condition(rotations[0], 0, transforms[0], front.camera.viewmat)
+    alpha = model.render(state, transforms, front.camera).alpha.detach().sum()
+    assert float(pixels.sum()) == pytest.approx(float(alpha), rel=1e-3)
+    assert torch.equal(model.most_pixels(replace(front, train=(0, 1)), still), pixels)
+    # Nearer to the camera there is more to be seen, and the most of all frames counts.
+    near = still.at([0, 1, 2, 3, 4])
+    near.transl[1, 2] += 0.5
+    assert model.most_pixels(replace(front, train=(0, 1)), near).sum() > 1.2 * pixels.sum()
+    assert (model.most_pixels(replace(front, train=(0, 1)), near) >= pixels - 1e-6).all()
+
+
+def test_pixels_count_by_their_mattes_and_where_colours_are_compared(grey, still):
+    model, front = grey
+    whole = model.most_pixels(front, still)
+    half = model.most_pixels(replace(front, mattes=front.mattes // 2), still)
+    assert half.tolist() == pytest.approx((whole * (127 / 255)).tolist(), rel=1e-5)
+    left = torch.zeros_like(front.mattes)
+    left[..., :12] = 255
+    of_left = model.most_pixels(replace(front, comparable=left), still)
+    assert torch.equal(model.most_pixels(replace(front, mattes=left), still), of_left)
+    assert (of_left <= whole + 1e-6).all()
+    assert of_left.sum() == pytest.approx(float(whole.sum() / 2), rel=0.05)  # who stands amid it
+
+
+def test_of_many_frames_some_are_looked_at_first_and_last_among_them(grey, still, monkeypatch):
+    model, front = grey
+    seen, render = [], model.render
+
+    def watched(state, transforms, camera):
+        seen.append(float(transforms[0, 0, 0, 3]))
+        return render(state, transforms, camera)
+
+    monkeypatch.setattr(model, "render", watched)
+    monkeypatch.setattr(one_sided_avatar, "LOOKS", 2)
+    moving = still.at([0] * 5)
+    moving.transl[:, 0] += torch.arange(5) * 0.01
+    model.most_pixels(front, moving)  # whose last frame is set aside
+    assert seen == pytest.approx([seen[0], seen[0] + 0.03])
+
+
+def test_what_goes_on_from_black_is_finite(grey, still, tiny_parameters):
+    model, front = grey
+    with torch.no_grad():
+        model.gaussians.features.fill_(-200.0)  # whose sigmoid is 0
+    model.inpaint(fitting(tiny_parameters), front, still)
+    assert model.gaussians.features.isfinite().all()
+
+
+@pytest.mark.parametrize(("least", "sure"), [(1e-9, 1e-9), (1e9, 1e9), (0.01, 1e9)])
+def test_where_all_or_nothing_is_known_colours_stay(grey, still, tiny_parameters, least, sure):
+    model, front = grey
+    if least < 1e-3:  # so clear that each shows something
+        with torch.no_grad():
+            model.gaussians.opacity_logits.fill_(-3.0)
+        assert (model.most_pixels(front, still) > least).all()
+    before = model.gaussians.features.detach().clone()
+    limits = fitting(tiny_parameters, least_pixels=least, sure_pixels=sure)
+    model.inpaint(limits, front, still)
+    assert torch.equal(model.gaussians.features, before)
+
+
+@pytest.mark.parametrize("name", ["least_pixels", "sure_pixels"])
+@pytest.mark.parametrize("least", [0.0, -1.0, math.inf])
+def test_no_light_at_all_is_no_limit(tiny_parameters, name, least):
+    with pytest.raises(ValueError, match=name):
+        fitting(tiny_parameters, **{name: least})
+
+
+def test_what_is_sure_is_known(tiny_parameters):
+    with pytest.raises(ValueError, match="sure_pixels: 0.005 is less than least_pixels, 0.01"):
+        fitting(tiny_parameters, sure_pixels=0.005)
+
+
+def near_body(model, front, still):
+    """The penalty on what reaches off the body."""
+    rotations = torch.eye(3).expand(1, len(model.body.parents), 3, 3)
+    transforms = model.transforms(rotations, still.transl[:1])
+    state = model.condition(rotations[0], 0, transforms[0], front.camera.viewmat)
+    step = TrainingStep(1, 1.0, None, torch.Generator())
+    return model.regularisers(model.render(state, transforms, front.camera), step)["near_body"]()
+
+
+def test_gaussians_beyond_clothes_are_drawn_to_the_body_and_no_others(grey, still):
+    model, front = grey
+    surface = model._surface()
+    with torch.no_grad():
+        model.gaussians.log_scales.fill_(-20.0)  # points
+        model.gaussians.means.copy_(surface.places + 0.029 * surface.normals)
+    model.invalidate_neighbours()
+    assert near_body(model, front, still) == 0
+    with torch.no_grad():
+        model.gaussians.means[:80] += 0.051 * model._surface().normals[:80]
+        model.gaussians.means[80:160] -= 0.109 * model._surface().normals[80:160]
+    apart = near_body(model, front, still)
+    # 80 of 800 stand 8 cm off, and 80 as far inside: 5 cm more than clothes, in centimetres.
+    assert apart.item() == pytest.approx(5.0 * 160 / 800, rel=2e-2)
+    (pull,) = torch.autograd.grad(apart, model.gaussians.means)
+    assert (pull[160:] == 0).all()
+    along = (pull * model._surface().normals).sum(-1)
+    # Some, between the legs say, are nearer to another part of the body.
+    assert along[:80].median().item() == pytest.approx(0.125, rel=1e-3)
+    assert along[80:160].median().item() == pytest.approx(-0.125, rel=1e-3)
+    assert along[:80].min() >= 0 >= along[80:160].max()
+
+
+def test_heights_count_the_more_the_less_of_a_person_is_seen(tiny_parameters):
+    weighed = fitting(tiny_parameters)
+    step = TrainingStep(0, 1.0, weighed, torch.Generator())
+    assert weighed.weights(step, 0.0)["near_body"] == 0
+    full = weighed.weights(step, 1.0)["near_body"]
+    assert full == weighed.regularisers.near_body > 0
+    assert weighed.weights(step, 0.5)["near_body"] == pytest.approx(full / 4)
+
+
+def test_a_gaussian_that_is_thick_across_the_surface_is_flattened_and_no_other(grey, still):
+    model, front = grey
+    gaussians, surface = model.gaussians, model._surface()
+    upright = surface.normals[:, 2].abs().argmax()  # whose z axis is the surface's normal
+    with torch.no_grad():
+        gaussians.means.copy_(surface.places)
+        gaussians.quats[:] = torch.tensor([1.0, 0, 0, 0])
+        gaussians.log_scales.fill_(-20.0)
+        gaussians.log_scales[upright] = torch.tensor([0.1, 0.1, 0.005]).log()
+    model.invalidate_neighbours()
+    assert surface.normals[upright, 2].abs() > 0.999
+    flat = near_body(model, front, still)
+    assert flat.item() < 0.02 * 20 / 800  # wide along the surface
+    with torch.no_grad():
+        gaussians.log_scales[upright] = torch.tensor([0.005, 0.005, 0.1]).log()
+    thick = near_body(model, front, still)
+    # Two standard deviations are 20 cm: 17 more than clothes.
+    assert thick.item() == pytest.approx(17 / 800, rel=1e-2)
+    (pull,) = torch.autograd.grad(thick, gaussians.log_scales)
+    assert pull[upright, 2] == pytest.approx(20 / 800, rel=1e-2)
+    assert (pull[upright, :2].abs() < 1e-4).all()
