@@ -4,13 +4,14 @@ import ast
 import re
 import subprocess
 import sys
-from functools import cache
+from functools import cache, reduce
 
 import pytest
 
 from deblur_avatar.pipeline.code import (
     FINGERPRINTS,
     REGISTERED,
+    fingerprints,
     import_closure,
     scripts,
 )
@@ -241,3 +242,23 @@ def test_dvc_understands_the_pipeline():
     assert listed == set(STAGES)
     for run in PARAMETERS["runs"]:
         assert f"evaluate@{run}" in done.stdout
+
+
+def value_at(content, key):
+    """What stands at a key of DVC's notation; None where nothing does."""
+    return reduce(lambda found, word: (found or {}).get(word), key.split("."), content)
+
+
+def test_the_lock_is_of_the_parameters_and_the_code_that_stand():
+    """`dvc repro` of a clone without data runs nothing but `code`: what was run is what is here."""
+    standing = {PARAMS: PARAMETERS, FINGERPRINTS: fingerprints(ROOT, ROOT)}
+    locked = read(ROOT / "dvc.lock")["stages"]
+    assert len(locked) > 50
+    stale = [
+        f"{name}: {key} of {file}"
+        for name, entry in locked.items()
+        for file, values in entry.get("params", {}).items()
+        for key, value in values.items()
+        if value != value_at(standing[file], key)
+    ]
+    assert not stale
