@@ -4,6 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 WORKERS ?= 2
+# Modules are compiled when they are first imported: a third of them ever is.
+PIP_FLAGS := --quiet --disable-pip-version-check --no-compile -c constraints.txt
 # The tests of a file stay in one process, which makes what they share once; long ones first: tests/conftest.py.
 DIST := --dist loadfile --no-loadscope-reorder
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)
@@ -18,8 +20,8 @@ $(STAMP): pyproject.toml constraints.txt deblur_avatar/cli/setup.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	$(BIN)/python -m pip install $(PIP_FLAGS) torch
+	$(BIN)/python -m pip install $(PIP_FLAGS) \
 	  --editable '.[dev]'
 	$(BIN)/deblur-avatar setup
 	@touch $(STAMP)
