@@ -4,8 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 WORKERS ?= 2
-# Modules are compiled when they are first imported: a third of them ever is.
-PIP_FLAGS := --quiet --disable-pip-version-check --no-compile -c constraints.txt
+PIP_FLAGS := --quiet --disable-pip-version-check -c constraints.txt
 # The tests of a file stay in one process, which makes what they share once; long ones first: tests/conftest.py.
 DIST := --dist loadfile --no-loadscope-reorder
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)
