@@ -20,8 +20,7 @@ $(STAMP): pyproject.toml constraints.txt deblur_avatar/cli/setup.py
 	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install $(PIP_FLAGS) torch
-	$(BIN)/python -m pip install $(PIP_FLAGS) \
-	  --editable '.[dev]'
+	$(BIN)/python -m pip install $(PIP_FLAGS) --editable '.[dev]'
 	$(BIN)/deblur-avatar setup
 	@touch $(STAMP)
 

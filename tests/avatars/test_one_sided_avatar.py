@@ -138,13 +138,18 @@ def test_colours_at_the_edge_of_what_is_seen_stay_and_do_not_go_on(grey, still, 
     assert (after[~well & ~rim] - torch.tensor(RED)).abs().max() < 0.01
 
 
-def test_what_a_gaussian_shows_is_what_the_picture_has_of_it(grey, still):
-    model, front = grey
-    pixels = model.most_pixels(replace(front, train=(0,)), still)
+def rendered(model, front, still):
+    """What the camera sees of the person in the canonical pose."""
     rotations = torch.eye(3).expand(1, len(model.body.parents), 3, 3)
     transforms = model.transforms(rotations, still.transl[:1])
     state = model.condition(rotations[0], 0, transforms[0], front.camera.viewmat)
-    alpha = model.render(state, transforms, front.camera).alpha.detach().sum()
+    return model.render(state, transforms, front.camera)
+
+
+def test_what_a_gaussian_shows_is_what_the_picture_has_of_it(grey, still):
+    model, front = grey
+    pixels = model.most_pixels(replace(front, train=(0,)), still)
+    alpha = rendered(model, front, still).alpha.detach().sum()
     assert float(pixels.sum()) == pytest.approx(float(alpha), rel=1e-3)
     assert torch.equal(model.most_pixels(replace(front, train=(0, 1)), still), pixels)
     # Nearer to the camera there is more to be seen, and the most of all frames counts.
@@ -218,11 +223,8 @@ def test_what_is_sure_is_known(tiny_parameters):
 
 def near_body(model, front, still):
     """The penalty on what reaches off the body."""
-    rotations = torch.eye(3).expand(1, len(model.body.parents), 3, 3)
-    transforms = model.transforms(rotations, still.transl[:1])
-    state = model.condition(rotations[0], 0, transforms[0], front.camera.viewmat)
     step = TrainingStep(1, 1.0, None, torch.Generator())
-    return model.regularisers(model.render(state, transforms, front.camera), step)["near_body"]()
+    return model.regularisers(rendered(model, front, still), step)["near_body"]()
 
 
 def test_gaussians_beyond_clothes_are_drawn_to_the_body_and_no_others(grey, still):

@@ -13,9 +13,7 @@ from ruamel.yaml import YAML
 from deblur_avatar.training import resume
 from tests.stages.running import ROOT, fitting_options, run_script
 
-# Of each stage; half a second each.
-MANY = 17 if os.environ.get("DEBLUR_AVATAR_SLOW_TESTS") == "1" else 7
-KILLS = dict.fromkeys(("warmup", "trajectory", "fusion"), MANY)
+KILLS = {"warmup": 17, "trajectory": 17, "fusion": 16}
 
 
 def killing(whole, stopped):
@@ -51,7 +49,7 @@ def prepare(tmp_path_factory, observations, tiny_parameters):
     return make
 
 
-def test_kills_at_random_moments_change_no_byte(prepare):
+def test_fifty_kills_at_random_moments_change_no_byte(prepare):
     whole, stopped = prepare(), prepare()
     rows, said = killing(whole, stopped)
     for name, (first, last, _, _) in rows.items():
@@ -63,9 +61,8 @@ def test_kills_at_random_moments_change_no_byte(prepare):
             s["iteration"] for s in other["snapshots"]
         ]
         assert not (stopped / f".{name}.unfinished").exists()
-    killed = sum(row[2] for row in rows.values())
-    assert killed == sum(KILLS.values()), "a child failed before all were killed"
-    assert sum(row[3] for row in rows.values()) >= killed / 5, "too few children had saved anything"
+    assert sum(row[2] for row in rows.values()) == 50, "a child failed before all were killed"
+    assert sum(row[3] for row in rows.values()) >= 10, "too few children had saved anything"
 
 
 @contextmanager

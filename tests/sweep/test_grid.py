@@ -84,7 +84,11 @@ def test_experiments_are_what_dvc_shows(serial, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2 of 2 tasks done" in done.stdout
     value = "experiments-more-params.yaml-runs.more_one.size"
-    assert sizes(project) == {f"experiments-more-dvc.yaml_{value}-{size}": size for size in (1, 2)}
+    of_all = {f"experiments-more-dvc.yaml_{value}-{size}": size for size in (1, 2)}
+    assert sizes(project) == of_all
+    stage = f"{MORE}/dvc.yaml:fit@more_one"
+    assert swept(project, stage, VALUES[0], VALUES[1].removesuffix(",2")).returncode == 0
+    assert sizes(project) == of_all | {f"experiments-more-dvc.yaml-fit-more_one_{value}-1": 1}
 
 
 def sizes(project):
