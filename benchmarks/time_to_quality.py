@@ -75,19 +75,32 @@ class Kept:
 
 
 def filmed(size: int, folder: Path) -> tuple[Observations, Reference]:
-    """The scene at one size, filmed once and kept in a folder."""
-    place = folder / f"{SCENE}_{size}"
+    """The studio at one size, filmed once and kept in a folder."""
+    changes = {"image_size": size, "test_cameras": 4, "test_stride": 16, "samples_per_axis": 2}
+    return filmed_scene(PARAMS, SCENE, changes, folder / f"{SCENE}_{size}", size)
+
+
+def filmed_scene(
+    params: Path, scene: str, changes: Mapping[str, Any], place: Path, size: int
+) -> tuple[Observations, Reference]:
+    """A scene of a studio with some of its settings changed, filmed once and kept in a folder.
+
+    Args:
+        params: the file that has the scene.
+        scene: its name there.
+        changes: settings of its `clip` that are others here.
+        place: the folder; what it holds is not compared with `changes`.
+        size: of pictures that are fitted, pixels.
+    """
     if not (place / "reference").exists():
-        body = build_body(load_params(PARAMS, "bodies.anny", BodyParams))
-        source = load_params(PARAMS, f"scenes.{SCENE}.clip", ClipParams)
-        smaller = {"test_cameras": 4, "test_stride": 16, "samples_per_axis": 2}
-        source = source.model_copy(update={"image_size": size, **smaller})
-        generator = torch.Generator().manual_seed(run.derive_seed(0, "clip", SCENE))
+        body = build_body(load_params(params, "bodies.anny", BodyParams))
+        source = load_params(params, f"scenes.{scene}.clip", ClipParams).model_copy(update=changes)
+        generator = torch.Generator().manual_seed(run.derive_seed(0, "clip", scene))
         clip, reference = load_clip(source, body, detect=detect_with_mediapipe, generator=generator)
-        blurred = blur(clip, load_params(PARAMS, f"scenes.{SCENE}.blur", BlurParams))
-        params = load_params(PARAMS, f"scenes.{SCENE}.preprocess", PreprocessParams)
+        blurred = blur(clip, load_params(params, f"scenes.{scene}.blur", BlurParams))
+        prepared = load_params(params, f"scenes.{scene}.preprocess", PreprocessParams)
         seen = preprocess(
-            blurred, body, params, image_height=size, detect=detect_with_mediapipe
+            blurred, body, prepared, image_height=size, detect=detect_with_mediapipe
         ).blurred
         seen.save(place / "observations")
         reference.save(place / "reference")
