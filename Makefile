@@ -7,7 +7,8 @@ WORKERS ?= 2
 PIP_FLAGS := --quiet --disable-pip-version-check -c constraints.txt
 # The tests of a file stay in one process, which makes what they share once; long ones first: tests/conftest.py.
 DIST := --dist loadfile --no-loadscope-reorder
-PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 DEBLUR_AVATAR_CHECK_SHAPES=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)
+PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)
+CHECKED := DEBLUR_AVATAR_CHECK_SHAPES=1
 
 .PHONY: setup repro avatar check proof stability test types tests-once test-portable fuzz bench code relock readme clean-cache
 
@@ -61,7 +62,7 @@ types: $(STAMP)
 	$(BIN)/mypy
 
 tests-once: $(STAMP)
-	$(PYTEST)
+	$(CHECKED) $(PYTEST)
 
 # All that computes, held back to what nearly every x86-64 processor has: AVX2. One that has no more has
 # run these tests so already.
@@ -71,7 +72,7 @@ AVX2_ONLY := ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 MKL_ENABLE_INSTRUC
   OPENCV_CPU_DISABLE=AVX512-SKX \
   DEBLUR_AVATAR_KERNEL_FLAGS=-march=x86-64-v3 DEBLUR_AVATAR_X264=asm=avx2
 
-# The tests of what a kind of CPU may change, as on an older one; part of `make test`.
+# The tests of what a kind of CPU may change, as on an older one; part of `make test`. Shapes were checked in the first run.
 test-portable: $(STAMP)
 	$(if $(WIDER),$(AVX2_ONLY) $(PYTEST) -m portable,@echo "no AVX-512 to do without: no second run")
 

@@ -98,24 +98,44 @@ def test_sizes_have_schedules_of_their_height():
 
 
 def test_new_rows_take_the_place_of_old_ones_of_the_same_size_and_method():
-    lean = {"size": 512, "method": "lean", "schedule": "large"}
+    lean = {
+        "scene": "studio", "size": 512, "method": "lean", "schedule": "large",
+        "reference_psnr_seen": None,
+    }  # fmt: skip
     paper, longer = {**lean, "size": 192, "method": "paper"}, {**lean, "schedule": "fine"}
-    record = with_rows({}, [lean | {"final": 1}, longer, paper], 1.2)
-    record = with_rows(record, [lean | {"final": 2}], None)
+    record = with_rows({}, [lean | {"final": 1}, longer, paper], 1.2, {})
+    record = with_rows(record, [lean | {"final": 2}], None, {})
     assert record["rows"] == [paper, longer, lean | {"final": 2}]
     again = lean | {"seed": 1}
-    assert with_rows(record, [again], None)["rows"] == [paper, longer, lean | {"final": 2}, again]
+    rows = with_rows(record, [again], None, {})["rows"]
+    assert rows == [paper, longer, lean | {"final": 2}, again]
     elsewhere = lean | {"device": "cuda"}
-    assert len(with_rows(record, [elsewhere], None)["rows"]) == 4
+    assert len(with_rows(record, [elsewhere], None, {})["rows"]) == 4
     assert record["beside_another"] == 1.2
-    assert with_rows(record, [], 1.1)["beside_another"] == 1.1
+    assert with_rows(record, [], 1.1, {})["beside_another"] == 1.1
+
+
+def test_rows_are_compared_with_a_reference_that_came_after_them():
+    row = {
+        "scene": "studio", "size": 512, "method": "lean", "curve": [[1.0, 15.0], [2.0, 15.9]],
+        "reference_psnr_seen": None, "seconds_to_within_0.2_db": None,
+        "processor_seconds_to_within_0.2_db": None,
+    }  # fmt: skip
+    known = with_rows({}, [row], None, {"studio-512-paper": 15.0})
+    assert known["rows"] == [row]
+    (found,) = with_rows(known, [], None, {"studio-512-lean": 16.05})["rows"]
+    assert (found["reference_psnr_seen"], found["seconds_to_within_0.2_db"]) == (16.05, 2.0)
+    (far,) = with_rows(known, [], None, {"studio-512-lean": 16.2})["rows"]
+    assert (far["reference_psnr_seen"], far["seconds_to_within_0.2_db"]) == (16.2, None)
+    measured = row | {"reference_psnr_seen": 16.05, "processor_seconds_to_within_0.2_db": 4.0}
+    assert with_rows({}, [measured], None, {"studio-512-lean": 16.05})["rows"] == [measured]
 
 
 def test_rows_of_two_machines_never_stand_in_one_record():
-    record = with_rows({}, [], None)
+    record = with_rows({}, [], None, {})
     record["machine"] = record["machine"] | {"cores": 1000}
     with pytest.raises(SystemExit, match="cores is .*1000.*--json"):
-        with_rows(record, [], None)
+        with_rows(record, [], None, {})
 
 
 def test_a_record_names_its_machine_and_rows():
