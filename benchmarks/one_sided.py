@@ -8,8 +8,8 @@ penalty on what stands off the body), and scores them from four cameras around t
 all pixels and over the surface that the training camera saw, FLIP, the share of a turntable's light
 more than 5 cm off the body, and PSNR of the training camera's frames set aside. The summary has
 means over scenes and seeds, and of every variant what it gains over `lean` in the same scene with
-the same seed, with the standard error of that mean. Fits that FILE has are not fitted again. A fit
-takes 40 s on two cores, scoring it 20.
+the same seed, with the standard error of that mean. Fits that FILE has are not fitted again. One
+takes some 40 s on two idle cores, with its scores.
 """
 
 import argparse
@@ -23,14 +23,20 @@ from typing import Any
 import torch
 
 from benchmarks.rasterizer import machine
-from benchmarks.time_to_quality import PARAMS, filmed_scene, fitted, settings_of
+from benchmarks.settings_search import known_rows
+from benchmarks.time_to_quality import (
+    PARAMS,
+    filmed_scene,
+    fitted,
+    novel_views,
+    scores_of_views,
+    settings_of,
+)
 from deblur_avatar import run
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.evaluation.surface_quality import surface_quality
-from deblur_avatar.evaluation.truth_views import truth_views
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
@@ -59,21 +65,16 @@ def row_of(
     observations, reference = filmed_scene(PROOF, scene, changes, folder / scene, SIZE)
     _, method = settings_of("lean")
     last = fitted(observations, recipe_of(variant), method, schedule, frozenset(), seed=seed)[-1]
-    motion = last.motion
     model = avatar_from_artifact(last.avatar, observations.body, run.chosen_device())
-    views = [view for view in truth_views(observations, reference) if not view.novel_pose]
-    scores = mean_scores(
-        [
-            compare(model, observations, reference, view, pose_of_view(observations, motion, view))
-            for view in views
-        ]
-    )
-    assert scores is not None
+    views = novel_views(observations, reference)
+    scores = scores_of_views(views, observations, reference, last)
     return {
         "scene": scene, "variant": variant, "seed": seed, "views": len(views),
         **{name: scores[name] for name in ("psnr", "psnr_seen", "flip")},
-        "psnr_validation": mean_reblur_psnr(model, observations, motion, observations.validation),
-        "fur_share": surface_quality(model, observations, motion)["fur_share"],
+        "psnr_validation": mean_reblur_psnr(
+            model, observations, last.motion, observations.validation
+        ),
+        "fur_share": surface_quality(model, observations, last.motion)["fur_share"],
         "seconds": last.seconds,
     }  # fmt: skip
 
@@ -110,12 +111,7 @@ def main(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(1)
     path: Path | None = arguments.json
     schedule = load_params(PARAMS, f"schedules.{arguments.schedule}", ScheduleParams)
-    known = json.loads(path.read_text()) if path and path.exists() else {}
-    if known.get("schedule", arguments.schedule) != arguments.schedule:
-        raise SystemExit(
-            f"{path} is of the schedule {known['schedule']}: give another file, --json"
-        )
-    rows = known.get("rows", [])
+    rows = known_rows(path, arguments.schedule)
     done = {key_of(row) for row in rows}
     for seed, scene, variant in product(arguments.seeds, arguments.scenes, arguments.variants):
         if (scene, variant, seed) in done:

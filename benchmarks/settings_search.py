@@ -205,15 +205,24 @@ def wanted(arguments: argparse.Namespace, rows: Sequence[Mapping[str, Any]]) -> 
     return [cell for cell in cells if cell not in done]
 
 
-def main(arguments: argparse.Namespace) -> None:
-    """Fit, print, write."""
-    path: Path | None = arguments.json
+def known_rows(path: Path | None, schedule_name: str) -> list[dict[str, Any]]:
+    """What a record has already; nothing, if there is none.
+
+    Raises:
+        SystemExit: if it is of another schedule.
+    """
     known = json.loads(path.read_text()) if path and path.exists() else {}
-    if known.get("schedule", arguments.schedule) != arguments.schedule:
+    if known.get("schedule", schedule_name) != schedule_name:
         raise SystemExit(
             f"{path} is of the schedule {known['schedule']}: give another file, --json"
         )
-    rows = known.get("rows", [])
+    return known.get("rows", [])
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Fit, print, write."""
+    path: Path | None = arguments.json
+    rows = known_rows(path, arguments.schedule)
     fit = partial(row_of, scenes=arguments.scenes, schedule_name=arguments.schedule)
     with multiprocessing.get_context("spawn").Pool(arguments.at_once) as pool:
         while cells := wanted(arguments, rows):
