@@ -36,7 +36,7 @@ from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.bodies.registry import BodyParams
 from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.config.reading import load_params
-from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
+from deblur_avatar.evaluation.comparisons import compare_views, mean_scores
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
 from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.methods import MethodParams
@@ -180,14 +180,7 @@ def scores_of_views(
 ) -> dict[str, float | None]:
     """Mean scores of an avatar over test views."""
     model = avatar_from_artifact(kept.avatar, observations.body, run.chosen_device())
-    scores = mean_scores(
-        [
-            compare(
-                model, observations, reference, view, pose_of_view(observations, kept.motion, view)
-            )
-            for view in views
-        ]
-    )
+    scores = mean_scores(compare_views(model, observations, reference, kept.motion, views))
     assert scores is not None
     return scores
 

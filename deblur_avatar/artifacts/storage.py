@@ -277,7 +277,8 @@ def _read_images(folder: Path, entry: Any, where: str) -> Tensor:
     # One before there is room: a size that only the manifest claims costs nothing.
     first = [_read_image(path, shape[-dims:]) for path in paths[:1]]
     images = np.empty((count, *shape[-dims:]), np.uint8)
-    images[: len(first)] = first or 0
+    if first:
+        images[0] = first[0]
 
     def read(index: int, path: Path) -> None:
         images[index] = _read_image(path, shape[-dims:])

@@ -18,8 +18,8 @@ AVATARS: Registry[AvatarModel] = Registry(
         "gauhuman": "deblur_avatar.avatars.gauhuman_avatar:GauhumanAvatar",
         "gomavatar": "deblur_avatar.avatars.gomavatar_avatar:GomavatarAvatar",
         "humannerf_small": "deblur_avatar.avatars.humannerf_small_avatar:HumannerfSmallAvatar",
-        "one_sided": "deblur_avatar.avatars.one_sided_avatar:OneSidedAvatar",
         "networks": "deblur_avatar.avatars.networks_avatar:NetworksAvatar",
+        "one_sided": "deblur_avatar.avatars.one_sided_avatar:OneSidedAvatar",
         "plain": "deblur_avatar.avatars.plain_avatar:PlainAvatar",
     }
 )

@@ -1,6 +1,6 @@
 """Scores of a test view: the avatar's render against the ground truth."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -65,6 +65,20 @@ def compare(
         difference=pair.flip_map[0],
         scores={name: float(values) for name, values in scores(pair).items()},
     )
+
+
+def compare_views(
+    model: AvatarModel,
+    observations: Observations,
+    reference: Reference,
+    motion: Motion,
+    views: Iterable[TruthView],
+) -> list[Comparison]:
+    """Compare test views in the poses that a fitted motion has for them."""
+    return [
+        compare(model, observations, reference, view, pose_of_view(observations, motion, view))
+        for view in views
+    ]
 
 
 def pose_of_view(observations: Observations, motion: Motion, view: TruthView) -> Poses:

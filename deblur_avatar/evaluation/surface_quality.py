@@ -38,14 +38,15 @@ def surface_quality(
     """
     looks = turntable(model, observations, motion)
     return {
-        "fur_share": _fur_share(looks),
+        "fur_share": fur_share(looks),
         "holes_share": _holes_share(looks),
         "needle_share": _needle_share(model),
         "opacity_histogram": _opacity_histogram(model),
     }
 
 
-def _fur_share(looks: Sequence[Look]) -> float | None:
+def fur_share(looks: Sequence[Look]) -> float | None:
+    """Share of the coverage beyond the clothes; None where nothing is covered."""
     total = sum(float(look.alpha.sum()) for look in looks)
     beyond = sum(
         float(look.alpha[torch.from_numpy(look.distance > CLOTHES)].sum()) for look in looks

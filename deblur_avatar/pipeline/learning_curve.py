@@ -17,7 +17,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.evaluation.comparisons import compare, mean_scores, pose_of_view
+from deblur_avatar.evaluation.comparisons import compare_views, mean_scores
 from deblur_avatar.evaluation.metrics import recovered_metrics
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
@@ -93,12 +93,7 @@ def _scored(
 ) -> dict[str, Any]:
     avatar, motion = Avatar.load(moment.folder / "avatar"), Motion.load(moment.folder / "motion")
     model = avatar_from_artifact(avatar, observations.body, device)
-    scores = mean_scores(
-        [
-            compare(model, observations, reference, v, pose_of_view(observations, motion, v))
-            for v in views
-        ]
-    )
+    scores = mean_scores(compare_views(model, observations, reference, motion, views))
     return {
         "stage": moment.stage,
         "iteration": moment.iteration,

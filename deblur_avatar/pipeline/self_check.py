@@ -25,6 +25,7 @@ from deblur_avatar.evaluation.avatar_measures import (
     turntable,
 )
 from deblur_avatar.evaluation.findings import Scale, judged, worst
+from deblur_avatar.evaluation.surface_quality import fur_share
 from deblur_avatar.evaluation.torn_parts import parts_open
 from deblur_avatar.geometry.spacing import evenly_spaced
 
@@ -38,6 +39,12 @@ _SCALES = {
         0.03, 0.12, "share of its light",
         "Seen from other sides the avatar spreads beyond the person: let the person turn, use a "
         "longer schedule, look at the poses in check.png.",
+    ),
+    "fur_share": Scale(
+        0.06, 0.15, "share of its light",
+        "Seen from other sides light stands more than 5 cm off the body. Wide clothes and long "
+        "hair do that, and so does a haze of Gaussians: look at self_check.png, let the person "
+        "turn.",
     ),
     "far_gaussians": Scale(
         0.02, 0.1, "share of its opacity",
@@ -105,6 +112,7 @@ def self_check(
     values = {
         "outside_filmed": outside_share(filmed),
         "outside_turntable": outside_share(sides),
+        "fur_share": fur_share(sides),
         "far_gaussians": far_share(model),
         "coverage_iou": coverage_iou(observations, filmed, trained),
         "explained_share": explained_share(observations, explained, aside),

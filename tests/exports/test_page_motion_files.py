@@ -1,5 +1,7 @@
 """Motion files opened on the page move the avatar as Python would, in a real browser."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,14 @@ from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.exports.shown_motion import shown_motions
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from tests.animation.skeleton_text import bvh
-from tests.animation.test_retargeting import MIXAMO, MOCAP, acted, as_rig, odd_frames
+from tests.animation.test_retargeting import (
+    MIXAMO,
+    MOCAP,
+    acted,
+    as_rig,
+    odd_frames,
+    under_a_reference,
+)
 from tests.exports.browser import opened
 
 TOLERANCE = 1e-5  # metres, and of a rotation's matrix
@@ -35,14 +44,16 @@ def file(request, run, body, tmp_path):
         path = tmp_path / "dance.bvh"
         path.write_text("\n".join(short))
         return path
-    if kind in ("mixamo", "odd"):
+    if kind in ("mixamo", "odd", "reference", "side_last"):
         path = tmp_path / f"{kind}.bvh"
         odd = kind == "odd"
         pose, transl = acted(frames=25)
-        path.write_text(bvh(as_rig(
+        plain = [side_last(name) if kind == "side_last" else name for name in MIXAMO]
+        rig = as_rig(
             body, pose, transl, frames_of_joints=odd_frames(int(odd)), unit=100.0,
-            turn=Z_UP if odd else None, names=tuple(f"mixamorig:{name}" for name in MIXAMO),
-        )))  # fmt: skip
+            turn=Z_UP if odd else None, names=tuple(f"mixamorig:{name}" for name in plain),
+        )  # fmt: skip
+        path.write_text(bvh(under_a_reference(rig) if kind == "reference" else rig))
         return path
     suffix = ".bvh" if kind == "own_bvh" else ".npz"
     path = tmp_path / f"own{suffix}"
@@ -56,14 +67,20 @@ def file(request, run, body, tmp_path):
     return path
 
 
+def side_last(name):
+    """`Leg_L` for `LeftLeg`."""
+    side = next((side for side in ("Left", "Right") if name.startswith(side)), None)
+    return name if side is None else f"{name.removeprefix(side)}_{side[0]}"
+
+
 def choose(page, path):
     page.get_by_label("Motion file").set_input_files(path)
     page.get_by_text(path.name).wait_for()
 
 
 KINDS = [
-    "mixamo", "odd", "own_bvh", "own_npz", "packed_npz", "cmu_01_01_fairmotion",
-    "rokoko_jesse_dance",
+    "mixamo", "odd", "reference", "side_last", "own_bvh", "own_npz", "packed_npz",
+    "cmu_01_01_fairmotion", "rokoko_jesse_dance",
 ]  # fmt: skip
 
 
@@ -111,6 +128,19 @@ def test_a_file_that_is_dropped_is_opened_and_moves_both_avatars(page, page_of_t
     np.testing.assert_allclose(first, second, atol=1e-3)
     chooser.select_option("As filmed")
     assert page.evaluate("window.page.state.motion") == "own"
+
+
+def test_joints_whose_places_are_not_read_are_named(page, page_file, body, tmp_path):
+    rig = as_rig(body, *acted(frames=4), frames_of_joints=odd_frames(0))
+    places = rig.offsets[16] + torch.linspace(0, 0.2, 4).double()[:, None]
+    (tmp_path / "loose.bvh").write_text(bvh(dataclasses.replace(
+        rig, positions=rig.positions | {16: places},
+    )))  # fmt: skip
+    opened(page, page_file)
+    choose(page, tmp_path / "loose.bvh")
+    said = page.locator("#said").inner_text()
+    assert "Opened loose.bvh: 4 frames" in said
+    assert said.endswith("Positions of LeftArm change, which is not read.")
 
 
 BROKEN = {

@@ -35,6 +35,16 @@ def test_surroundings_torn_into_the_avatar_fail(filmed, avatar, motion):
     }
 
 
+@pytest.mark.parametrize(("off", "verdict"), [(0.0, "ok"), (0.01, "ok"), (0.11, "fail")])
+def test_a_haze_nearer_than_surroundings_is_told_apart_from_clothes(
+    filmed, avatar, motion, off, verdict
+):
+    with torch.no_grad():
+        avatar.gaussians.means[::2] += off * avatar.gaussians.means[::2].sin().sign()
+    content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
+    assert content["findings"]["fur_share"]["verdict"] == verdict
+
+
 def test_a_body_of_another_place_fails(filmed, avatar, motion):
     beside = dataclasses.replace(
         motion, centre=dataclasses.replace(motion.centre, transl=motion.centre.transl + 0.6),

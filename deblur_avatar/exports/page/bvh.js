@@ -1,14 +1,14 @@
 // Biovision hierarchy files (.bvh): a skeleton and its joint angles over time.
 //
 // Read as animation/bvh.py reads them: degrees, multiplied in the order of a joint's channels, the first
-// outermost; positions of other joints than the root are ignored; ends of bones become joints of their own.
+// outermost; positions replace components of a joint's offset; ends of bones become joints of their own.
 
 const AXES = { X: 0, Y: 1, Z: 2 };
 const MOST_TURNS = 1e6; // frames times joints of a file that a page opens
 const SHORTEST_STEP = 1e-6; // seconds
 const LARGEST = 1e9; // of any number
 
-// {step, names, parents, offsets [J][3], rotations [F][J] local matrices, places [F][3] of the root}
+// {step, names, parents, offsets [J][3], rotations [F][J] local matrices, positions: {joint: [F][3]}, of the root always}
 function readBvh(text) {
   const rows = text.split(/\r\n|\r|\n/).map((row, index) => ({ number: index + 1, words: row.trim().split(/\s+/) }));
   const lines = rows.filter(({ words }) => words[0] !== "");
@@ -69,22 +69,23 @@ function channelsOf([count, ...names], number) {
 }
 
 function posesOf(joints, values) {
-  const [rotations, places] = [[], []];
+  const rotations = [];
+  const moved = joints.flatMap(({ channels }, joint) => (joint === 0 || channels.some((one) => one.endsWith("position")) ? [joint] : []));
+  const positions = Object.fromEntries(moved.map((joint) => [joint, []]));
   for (const row of values) {
-    const place = [...joints[0].offset];
+    for (const joint of moved) positions[joint].push([...joints[joint].offset]);
     let column = 0;
     rotations.push(joints.map(({ channels }, joint) => {
       let rotation = IDENTITY;
       for (const channel of channels) {
         const [axis, value] = [AXES[channel[0]], row[column++]];
         if (channel.endsWith("rotation")) rotation = product(rotation, aboutAxis([0, 1, 2].map((k) => Number(k === axis)), (value * Math.PI) / 180));
-        else if (joint === 0) place[axis] = value;
+        else positions[joint].at(-1)[axis] = value;
       }
       return rotation;
     }));
-    places.push(place);
   }
-  return { rotations, places };
+  return { rotations, positions };
 }
 
 function numbersOf(words, count, number) {

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.animation.placement import mean_pelvis, stage_rotation
-from deblur_avatar.animation.retargeting import MIN_BEND, STANDING
+from deblur_avatar.animation.retargeting import LOOSE, MIN_BEND, STANDING
 from deblur_avatar.animation.rig_names import NAMES as RIG_NAMES
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
@@ -87,7 +87,12 @@ def page_payload(shown: Sequence[Shown], pictures: int, room: int | None) -> str
         },
         "scene": _scene(first),
         # Of skeletons in files that are opened on the page.
-        "rig_rules": {"names": RIG_NAMES, "standing": STANDING, "min_bend": MIN_BEND},
+        "rig_rules": {
+            "names": RIG_NAMES,
+            "standing": STANDING,
+            "min_bend": MIN_BEND,
+            "loose": LOOSE,
+        },
         "avatars": [_avatar_header(avatar) for avatar in shown],
     }
     for taken, files in _frames(first.run, pictures):

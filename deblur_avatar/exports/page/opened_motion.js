@@ -3,7 +3,8 @@
 const LARGEST_FILE = 2e8; // bytes
 const OPENED = "file:"; // what names of such motions begin with, so that none is another's
 
-// The motion of a file, for every avatar of the page: {name, label, times, quats, transl} each.
+// The motion of a file, for every avatar of the page: {name, label, times, quats, transl} each, and `moving`, the
+// joints whose places are not read.
 async function openedMotions(file, avatars, rules) {
   if (file.size > LARGEST_FILE) throw new Error(`it is larger than ${LARGEST_FILE / 1e6} MB`);
   const suffix = /\.[^.]*$/.exec(file.name)?.[0].toLowerCase() ?? "";
@@ -16,7 +17,10 @@ async function openedMotions(file, avatars, rules) {
     const motion = await readAmass(await file.arrayBuffer());
     poses = () => motion;
   } else throw new Error(`a motion is a .bvh file or an AMASS .npz, this is ${suffix || "neither"}`);
-  return avatars.map((avatar) => ({ name: OPENED + stem, label: stem.replaceAll("_", " "), ...placed(poses(avatar), avatar) }));
+  return avatars.map((avatar) => {
+    const { moving = [], ...motion } = poses(avatar);
+    return { name: OPENED + stem, label: stem.replaceAll("_", " "), moving, ...placed(motion, avatar) };
+  });
 }
 
 // The motion where the person was filmed, facing the camera at the start: animation/placement.py.

@@ -130,13 +130,14 @@ class Page {
     const { avatars, rig_rules: rules } = this.content;
     try {
       const motions = await openedMotions(file, avatars, rules);
-      const [{ name, times }] = motions;
+      const [{ name, times, moving }] = motions;
+      const unread = moving.length ? ` Positions of ${moving.join(", ")} change, which is not read.` : "";
       avatars.forEach((avatar, index) => {
         avatar.motions = [...avatar.motions.filter((motion) => motion.name !== name), motions[index]];
       });
       this.fillMotions();
       this.show({ motion: name, seconds: 0 });
-      this.say(`Opened ${file.name}: ${times.length} frames, ${durationOf(motions[0]).toFixed(1)} s.`);
+      this.say(`Opened ${file.name}: ${times.length} frames, ${durationOf(motions[0]).toFixed(1)} s.${unread}`);
     } catch (error) {
       this.say(`${file.name} cannot be opened: ${error.message}.`);
     }

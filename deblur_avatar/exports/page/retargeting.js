@@ -8,10 +8,13 @@ const IDENTITY = [1, 0, 0, 0, 1, 0, 0, 0, 1];
 const UP = [0, 1, 0];
 const FORWARD = [0, 0, 1];
 const BACKWARD = [0, 0, -1];
+const LEG = [["left_hip", "left_knee"], ["left_knee", "left_ankle"]];
 
-// Local rotations [F][J] of the avatar's joints and its translation [F][3], upright, in metres.
-function retargeted(motion, avatar, rules) {
-  const rig = recognised(motion.names, motion.parents, rules.names);
+// Local rotations [F][J] of the avatar's joints and its translation [F][3], upright, in metres; `moving` are
+// the joints below the hips that leave their place, which is ignored.
+function retargeted(skeleton, avatar, rules) {
+  const rig = recognised(skeleton.names, skeleton.parents, rules.names);
+  const { motion, moving } = carried(skeleton, rig, rules);
   const rest = Object.fromEntries(avatar.joint_names.map((name, j) => [name, [...avatar.joints.slice(3 * j, 3 * j + 3)]]));
   const { world, places } = worldOf(motion);
   const upright = uprightOf(places, rig);
@@ -21,12 +24,28 @@ function retargeted(motion, avatar, rules) {
   const rotations = turned.map((frame) => localRotations(avatar, rig, frame, fitted));
   const scale = scaleOf(motion, rig, rest);
   const transl = risen.map((frame) => minus(times(frame[rig.pelvis], scale), rest.pelvis));
-  return { step: motion.step, rotations, transl };
+  return { step: motion.step, rotations, transl, moving };
+}
+
+// The motion with the positions of those joints alone that carry the hips, where they say more than offsets do.
+function carried(motion, rig, rules) {
+  const { names, parents, offsets, positions } = motion;
+  const limit = rules.loose * legLength(motion, rig);
+  const rests = (joint) => [offsets[joint], [0, 0, 0]].some(
+    (place) => positions[joint].every((one) => Math.hypot(...minus(one, place)) <= limit));
+  const off = Object.keys(positions).map(Number).filter((joint) => joint > 0 && !rests(joint));
+  const above = pathOf(motion, 0, rig.pelvis);
+  const body = new Set(Object.values(rig).flatMap((joint) => pathOf(motion, rig.pelvis, joint)));
+  const kept = [0, ...off.filter((joint) => above.includes(joint))];
+  return {
+    motion: { ...motion, positions: Object.fromEntries(kept.map((joint) => [joint, positions[joint]])) },
+    moving: off.filter((joint) => body.has(joint)).map((joint) => names[joint]),
+  };
 }
 
 // Which joint of a skeleton is which of the avatar's, by name and by what lies between those.
 function recognised(names, parents, known) {
-  const plain = names.map((name) => name.split(":").pop().toLowerCase().replace(/[^a-z0-9]/g, ""));
+  const plain = names.map(plainName);
   const found = {};
   for (const [joint, forms] of Object.entries(known)) {
     const form = forms.find((one) => plain.includes(one));
@@ -34,7 +53,7 @@ function recognised(names, parents, known) {
   }
   const missing = Object.keys(known).filter((joint) => !(joint in found));
   if (missing.length) {
-    throw new Error(`the skeleton has no joint for ${missing.join(", ")}; it has ${names.join(", ")}. Names as mixamo's or CMU's are understood`);
+    throw new Error(`the skeleton has no joint for ${missing.join(", ")}; it has ${names.join(", ")}. Names as mixamo's, CMU's or Bandai Namco's are understood`);
   }
   const ways = {};
   for (const [joint, index] of Object.entries(found)) {
@@ -59,8 +78,14 @@ function recognised(names, parents, known) {
   return found;
 }
 
+// A name to be compared, its side first.
+function plainName(name) {
+  const own = name.split(":").pop().toLowerCase();
+  return own.replace(/^(.+)[^a-z0-9](left|right|l|r)$/, "$2$1").replace(/[^a-z0-9]/g, "");
+}
+
 // World rotations [F][J] and places [F][J] of all joints, in the file's axes and unit.
-function worldOf({ parents, offsets, rotations, places }) {
+function worldOf({ parents, offsets, rotations, positions }) {
   const world = rotations.map((frame) => {
     const above = [];
     frame.forEach((local, j) => above.push(parents[j] < 0 ? local : product(above[parents[j]], local)));
@@ -72,7 +97,8 @@ function worldOf({ parents, offsets, rotations, places }) {
       const known = [];
       offsets.forEach((offset, j) => {
         const parent = parents[j];
-        known.push(parent < 0 ? places[f] : plus(known[parent], applied(turned[parent], offset)));
+        const place = positions[j]?.[f] ?? offset;
+        known.push(parent < 0 ? place : plus(known[parent], applied(turned[parent], place)));
       });
       return known;
     }),
@@ -89,12 +115,13 @@ function uprightOf(places, rig) {
 
 // Length of the avatar's legs over that of the skeleton's.
 function scaleOf(motion, rig, rest) {
-  let [ours, theirs] = [0, 0];
-  for (const [upper, lower] of [["left_hip", "left_knee"], ["left_knee", "left_ankle"]]) {
-    ours += Math.hypot(...minus(rest[lower], rest[upper]));
-    for (const step of pathOf(motion, rig[upper], rig[lower])) theirs += Math.hypot(...motion.offsets[step]);
-  }
-  return ours / theirs;
+  const ours = LEG.reduce((sum, [upper, lower]) => sum + Math.hypot(...minus(rest[lower], rest[upper])), 0);
+  return ours / legLength(motion, rig);
+}
+
+function legLength(motion, rig) {
+  const steps = LEG.flatMap(([upper, lower]) => pathOf(motion, rig[upper], rig[lower]));
+  return steps.reduce((sum, step) => sum + Math.hypot(...motion.offsets[step]), 0);
 }
 
 function restFrames(motion, rig, turned, places, rest, rules) {
