@@ -1,6 +1,6 @@
 """Steps of estimating poses: what a true one in place of an estimated one brings.
 
-    python -m benchmarks.pose_steps [--scene street] [--firm] [--json FILE]
+    python -m benchmarks.pose_steps [--scene street] [--json FILE]
 
 detects the person in the film of a scene of `source: street` and fits the body several times, each
 time with other parts of what the fit is given replaced by the truth: focal length, mattes,
@@ -114,11 +114,10 @@ def with_truth(
 
 
 def errors(
-    clip: BlurryClip, body: Body, person: Landmarks, true: Float[Tensor, "F J 3"], *, firm: bool
+    clip: BlurryClip, body: Body, person: Landmarks, true: Float[Tensor, "F J 3"]
 ) -> dict[str, float]:
-    """Of the joints of a body that is fitted to a person, firmly or as `poses: estimated` is."""
-    times = clip.timestamps
-    fitted = fit_body(body, clip.cameras, clip.recorded, [person], times, firm=firm)
+    """Of the joints of a body that is fitted to a person."""
+    fitted = fit_body(body, clip.cameras, clip.recorded, [person], clip.timestamps)
     found = posed(body, fitted.poses).joints
     return {name: round(value, 4) for name, value in joint_errors(found, true).items()}
 
@@ -130,7 +129,6 @@ def main() -> None:
     parser.add_argument("--body", default="anny")
     parser.add_argument("--data", type=Path, default=Path("data"))
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--firm", action="store_true", help="as poses: estimated_firm is fitted")
     options = parser.parse_args()
     body = Body.load(options.data / "body" / options.body)
     clip = BlurryClip.load(options.data / "blur" / options.scene)
@@ -138,13 +136,12 @@ def main() -> None:
     reference = Reference.load(options.data / "clip" / options.scene / "reference")
     truth = Truth.of(observations, reference)
     true, person = posed(body, truth.poses).joints, detected(clip, "heavy")
-    wrong = partial(errors, body=body, true=true, firm=options.firm)
+    wrong = partial(errors, body=body, true=true)
     rows: dict[str, Any] = {SMALLER: wrong(clip, person=detected(clip, "full"))}
     for name, parts in FITS.items():
         given, seen = with_truth(clip, body, person, truth, parts)
         rows[name] = wrong(given, person=seen)
-    about = {"scene": options.scene, "firm": options.firm}
-    text = json.dumps({**about, "frames": len(clip.timestamps), **rows}, indent=2)
+    text = json.dumps({"scene": options.scene, "frames": len(clip.timestamps), **rows}, indent=2)
     print(text)
     if options.json:
         options.json.write_text(text + "\n")

@@ -39,6 +39,7 @@ class Clip(Artifact):
     timestamps: Float32[Tensor, " F"]  # seconds, the middle of each frame's exposure
     blurred: bool  # True if the frames are blurred already and `blur` must pass them through
     exposure: float | None  # seconds the shutter was open, where known
+    exposure_std: float | None = None  # of its logarithm, where it is a guess; None: it is known
     averaging_space: str  # "srgb" or "linear": the space in which the camera averaged
     held_out_from: int  # frames from here on are kept from training (novel poses)
     initial: Poses | None  # poses given by the source, F of them
@@ -82,6 +83,7 @@ class BlurryClip(Artifact):
     frame_indices: tuple[int, ...]
     timestamps: Float32[Tensor, " F"]
     exposure: float | None
+    exposure_std: float | None = None  # as in `Clip`
     averaging_space: str
     held_out_from: int  # position in this clip of the first frame kept from training
     initial: Poses | None

@@ -57,6 +57,7 @@ class Observations(Artifact):
     frame_indices: tuple[int, ...]
     timestamps: Float32[Tensor, " F"]
     exposure: float | None
+    exposure_std: float | None = None  # of its logarithm, where it is a guess; None: it is known
     averaging_space: str
     train: tuple[int, ...]  # positions in this artifact
     validation: tuple[int, ...]

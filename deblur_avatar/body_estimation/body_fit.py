@@ -52,7 +52,7 @@ OUTLINE_SHARE = 0.01
 ACCELERATION = 60.0  # of joints, m/s^2: a kick's
 ANGULAR_ACCELERATION = 300.0  # of joints' rotations, rad/s^2
 SHAPE_TRUST = 1.0  # how many measurements of a frame the expected shape weighs
-OFFSET_TRUST = 0.2  # in a firm fit, the same of where landmarks are expected on the body
+OFFSET_TRUST = 0.2  # the same of where landmarks are expected on the body (decision 59)
 BEYOND_LIMIT = 0.1  # radians
 KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
 OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
@@ -117,7 +117,6 @@ class _Problem:
     basis: Float[Tensor, "F D"]  # frames from control values
     interval: float  # seconds between frames
     extent: float
-    firm: bool
 
 
 @run.one_thread()
@@ -127,8 +126,6 @@ def fit_body(
     recorded: tuple[int, ...],
     people: list[Landmarks],
     timestamps: Float[Tensor, " F"],
-    *,
-    firm: bool,
 ) -> BodyFit:
     """Fit a body to what detectors found in several cameras' frames.
 
@@ -138,8 +135,6 @@ def fit_body(
         recorded: the camera of each entry of `people`.
         people: landmarks and mattes in the pixels of those cameras.
         timestamps: of the frames, seconds.
-        firm: whether landmarks stay within a hand's breadth of where they are expected on the body,
-            and joints beside where landmarks in space have brought them (docs/decisions/0059).
 
     Raises:
         ArtifactError: if no frame shows a person, or no two of several cameras agree on her.
@@ -148,7 +143,7 @@ def fit_body(
         raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
     if not any(bool(person.found.any()) for person in people):
         raise ArtifactError("no person found in any frame; check the videos")
-    problem, transl = _problem(body, cameras, recorded, people, timestamps, firm)
+    problem, transl = _problem(body, cameras, recorded, people, timestamps)
     unknowns = _solve(problem, transl)
     posed = _pose(problem, unknowns)
     poses = Poses(
@@ -180,7 +175,6 @@ def _problem(
     recorded: tuple[int, ...],
     people: list[Landmarks],
     timestamps: Float[Tensor, " F"],
-    firm: bool,
 ) -> tuple[_Problem, Float[Tensor, "D 3"]]:
     """What is known before the body is fitted, and a first guess of the root's control points."""
     marks = landmark_map()
@@ -220,7 +214,6 @@ def _problem(
         basis=basis,
         interval=interval,
         extent=extent,
-        firm=firm,
     )
     return problem, transl
 
@@ -289,7 +282,7 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
     groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
     optimiser = torch.optim.Adam(groups)
     steps = COARSE_STEPS + FINE_STEPS
-    schedule = fit_rates(optimiser, COARSE_STEPS, FINE_STEPS, firm=problem.firm)
+    schedule = fit_rates(optimiser, COARSE_STEPS, FINE_STEPS)
     partners: list[Int64[Tensor, "F Q"]] = []
     # Outlines cost most; of a long clip each step looks at some of the frames.
     stride = 1 if problem.one is None else -(-len(problem.basis) // OUTLINED_FRAMES)
@@ -376,15 +369,14 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     pose = posed.body_pose
     beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
     relaxed = pose / limits.std[:, None]
-    offsets = (unknowns.offsets - marks.offsets) / marks.stds[:, None]
+    away = (unknowns.offsets - marks.offsets) / marks.stds[:, None]
     step = problem.interval**2
     acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
     rotations = torch.cat([posed.turn[:, None], pose], dim=1)
     angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
     # What is one for the clip is weighed against as many measurements as there are frames.
     shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
-    if problem.firm:
-        offsets = len(pose) ** 0.5 * OFFSET_TRUST * offsets
+    offsets = len(pose) ** 0.5 * OFFSET_TRUST * away
     squares = [shape, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
     return torch.stack([term.square().sum() for term in squares]).sum()
 

@@ -3,13 +3,13 @@
 import math
 
 from torch.optim import Optimizer
-from torch.optim.lr_scheduler import CosineAnnealingLR, LambdaLR, LRScheduler
+from torch.optim.lr_scheduler import LambdaLR, LRScheduler
 
-FINE_RATE = 0.3  # of the rates, with which a firm fit's fine steps begin
+FINE_RATE = 0.3  # of the rates, with which the fine steps begin
 
 
-def fit_rates(optimiser: Optimizer, coarse: int, fine: int, *, firm: bool) -> LRScheduler:
-    """How an optimiser's rates fall: along one cosine, or in a firm fit along one for each part.
+def fit_rates(optimiser: Optimizer, coarse: int, fine: int) -> LRScheduler:
+    """How an optimiser's rates fall: along one cosine to `FINE_RATE`, along another to nothing.
 
     A fine step's losses saturate: a joint that a large step throws beside its landmark stays there.
 
@@ -17,10 +17,7 @@ def fit_rates(optimiser: Optimizer, coarse: int, fine: int, *, firm: bool) -> LR
         optimiser: with the rates to begin with.
         coarse: steps with losses that do not saturate.
         fine: steps after them, with losses that do.
-        firm: whether fine steps begin with `FINE_RATE` of the rates.
     """
-    if not firm:
-        return CosineAnnealingLR(optimiser, coarse + fine)
 
     def share(step: int) -> float:
         if step < coarse:

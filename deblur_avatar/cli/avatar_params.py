@@ -104,7 +104,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "image_height": 720,
         "focal": "estimated",
         "field_of_view": 60.0,
-        "exposure_s": None,
+        "exposure_s": "estimated",
         "shutter": 0.5,
         "averaging_space": "linear",
         "held_out": 0.0,
@@ -117,7 +117,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "clip": clip,
         "blur": {"frames": "interpolated", "factor": 8, "window": 33, "averaging_space": "linear"},
         "preprocess": {
-            "poses": "estimated_firm",
+            "poses": "estimated",
             "masks": "estimated",
             "background": "auto",
             # By the detector's guess and feet that stand; refined on one camera alone it drifts.

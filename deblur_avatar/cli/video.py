@@ -24,6 +24,7 @@ import importlib.util
 import logging
 import shutil
 from pathlib import Path
+from typing import Any
 
 from deblur_avatar.body_estimation.pose_model import installed_model
 from deblur_avatar.cli.avatar_params import BODY, PAGE, name_of, prepare
@@ -167,6 +168,7 @@ def _show(home: Home, name: str, run: str) -> None:
     logger.info("The report:   %s/reports/index.html", folder)
     _show_page(folder, run)
     metrics = folder / "metrics"
+    _tell_shutter(read_json(metrics / f"trajectory/{run}.json"))
     _tell_verdict(metrics / f"check/{name}.json", metrics / f"self_check/{run}.json")
 
 
@@ -178,6 +180,19 @@ def _show_page(folder: Path, run: str) -> None:
         logger.info("Turn it by hand: %s", page)
     else:
         logger.info("No page: an avatar with networks fits on none; --method lean makes one")
+
+
+def _tell_shutter(fitted: dict[str, Any]) -> None:
+    """How long the shutter was open, where the footage does not say: all blur hangs on it."""
+    source, seconds = fitted.get("shutter_from"), fitted.get("shutter_s", 0.0)
+    if source == "frames":
+        std = fitted["shutter_std_s"]
+        logger.info(
+            "The shutter:  open for %.1f ms, give or take %.1f, as the frames tell",
+            1e3 * seconds, 1e3 * std,
+        )  # fmt: skip
+    elif source == "guess":
+        logger.info("The shutter:  %.1f ms is a guess, nothing moved enough to tell", 1e3 * seconds)
 
 
 def _tell_verdict(before: Path, after: Path) -> None:

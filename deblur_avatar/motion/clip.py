@@ -63,6 +63,14 @@ class EstimatedShutter(Params):
     weight: NonNegative  # of the squared logarithm of its ratio to what the clip says
 
 
+class ToldShutter(Params):
+    """Believed where the clip knows it, an unknown near it where the clip says that it guesses."""
+
+    kind: Literal["as_told"]
+    rate: Positive  # both as of an estimated one
+    weight: NonNegative
+
+
 class ClipPriors(Params):
     """Weights of what holds the trajectory near the given poses."""
 
@@ -77,7 +85,7 @@ class ClipParams(FittedMotionParams):
     virtual_poses: Count  # at most, where `pixels_per_pose` says how many
     # Farthest travel per virtual pose, in pixels of a picture 192 high; 0: always all of them.
     pixels_per_pose: NonNegative
-    shutter: Annotated[GivenShutter | EstimatedShutter, Field(discriminator="kind")]
+    shutter: Annotated[GivenShutter | EstimatedShutter | ToldShutter, Field(discriminator="kind")]
     quadrature: Quadrature  # of the instants that are saved; fitting takes midpoints
     knot_frames: Positive  # frames between two knots of the trajectory, at most
     finest_knot_frames: Positive  # and at least, where given poses ask for finer knots
@@ -86,16 +94,21 @@ class ClipParams(FittedMotionParams):
     priors: ClipPriors
 
     def learning_rates(self) -> dict[str, float]:
-        """Those of the knots, and of a shutter that is estimated."""
+        """Those of the knots, and of a shutter that may be an unknown."""
         rates = super().learning_rates()
         shutter = self.shutter
-        return rates | ({"shutter": shutter.rate} if shutter.kind == "estimated" else {})
+        return rates | ({} if shutter.kind == "given" else {"shutter": shutter.rate})
 
     def weights(self) -> dict[str, float]:
         """Weights of its priors."""
         weights = self.priors.model_dump()
         shutter = self.shutter
-        return weights | ({"shutter": shutter.weight} if shutter.kind == "estimated" else {})
+        return weights | ({} if shutter.kind == "given" else {"shutter": shutter.weight})
+
+    def estimates_shutter(self, observations: Observations) -> bool:
+        """Whether how long the shutter was open is an unknown."""
+        told = self.shutter.kind == "as_told" and observations.exposure_std is not None
+        return told or self.shutter.kind == "estimated"
 
 
 class ClipMotion(Trajectory):
@@ -170,7 +183,7 @@ class ClipMotion(Trajectory):
         motion = cls.near(
             observations.poses, instants(params.virtual_poses, params.quadrature),
             observations.timestamps, observations.exposure, spacing, params.smoothness,
-            estimate_shutter=params.shutter.kind == "estimated",
+            estimate_shutter=params.estimates_shutter(observations),
         )  # fmt: skip
         motion._pixels_per_pose = params.pixels_per_pose
         return motion
@@ -280,16 +293,17 @@ class ClipMotion(Trajectory):
         def exposed(frame: int, log_shutter: float) -> Tensor:
             return render(frame, self.with_shutter(frame, log_shutter))
 
+        guess = observations.exposure_std or GUESS_STD
         told = shutter_std(exposed, self.log_shutter, observations)
-        source = "frames" if told < GUESS_STD else "guess"
+        source = "frames" if told < guess else "guess"
         moved = float(self.log_shutter.detach() - self.halfway)
         if source == "guess":
             with torch.no_grad():
                 self.log_shutter.zero_()
-            std = GUESS_STD
+            std = guess
             told_as = "nothing moved enough to tell: the guess stands"
         else:
-            std = (1 / (told**2 + moved**2) + 1 / GUESS_STD**2) ** -0.5
+            std = (1 / (told**2 + moved**2) + 1 / guess**2) ** -0.5
             told_as = f"it moved by {math.expm1(moved):+.1%} in the last half of the stage"
         shutter = self.estimated_shutter(observations.timestamps)
         assert shutter is not None

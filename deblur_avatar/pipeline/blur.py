@@ -128,6 +128,7 @@ def _passed_through(clip: Clip) -> BlurryClip:
         frame_indices=tuple(range(len(clip.timestamps))),
         timestamps=clip.timestamps,
         exposure=clip.exposure,
+        exposure_std=clip.exposure_std,
         averaging_space=clip.averaging_space,
         held_out_from=clip.held_out_from,
         initial=clip.initial,

@@ -94,6 +94,14 @@ _SCALES = {
     ),
 }  # fmt: skip
 
+_OF_A_GUESSED_EXPOSURE = {  # of which a clip says nothing bad for sure
+    "blur_share": Scale(
+        0.15, math.inf, "share of the person's height",
+        "If the shutter was open as long as is guessed, the fastest part is smeared over much of "
+        "the person: say clip.exposure_s where it is known.",
+    ),
+}  # fmt: skip
+
 
 def check_scene(observations: Observations, fit: Mapping[str, Any]) -> dict[str, Any]:
     """Measure a scene as fitting will see it.
@@ -126,7 +134,8 @@ def check_scene(observations: Observations, fit: Mapping[str, Any]) -> dict[str,
         "saturated_share": saturated_share(observations),
         "speed_ratio": (fit.get("track") or {}).get("speed_ratio"),
     }
-    findings = {name: judged(_SCALES[name], value) for name, value in values.items()}
+    scales = _SCALES if observations.exposure_std is None else _SCALES | _OF_A_GUESSED_EXPOSURE
+    findings = {name: judged(scales[name], value) for name, value in values.items()}
     return {
         "verdict": worst(finding.verdict for finding in findings.values()),
         "findings": {name: vars(finding) for name, finding in findings.items()},

@@ -93,7 +93,7 @@ def evaluate(
     ]
     novel_views = [comparison for comparison in comparisons if not comparison.view.novel_pose]
     novel_poses = [comparison for comparison in comparisons if comparison.view.novel_pose]
-    content = {
+    content: dict[str, Any] = {
         "image": mean_scores(novel_views),
         "novel_pose": mean_scores(novel_poses),
         "cameras": _by_camera(novel_views, observations.cameras.names),
@@ -106,6 +106,8 @@ def evaluate(
         "surface": surface_quality(model, observations, motion),
         "counts": {"novel_views": len(novel_views), "novel_poses": len(novel_poses)},
     }
+    if motion.shutter is not None:
+        content["shutter_s"] = motion.shutter
     steps = estimated_steps(observations, reference, motion, true)
     if steps is not None:
         content["steps"] = steps
@@ -180,11 +182,11 @@ def _motion(
         return errors
     frames = list(observations.train)
     errors |= pose_errors(observations.body, motion.centre.at(frames), true.at(frames))
-    if observations.exposure:
+    exposure = motion.shutter or observations.exposure
+    if exposure:
         errors |= travel_errors(
-            observations.body, motion, observations.exposure, frames, reference.motion_times,
-            reference.motion,
-        )  # fmt: skip
+            observations.body, motion, exposure, frames, reference.motion_times, reference.motion
+        )
     return errors
 
 

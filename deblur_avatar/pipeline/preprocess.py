@@ -50,8 +50,7 @@ from deblur_avatar.imaging.straightening import straightened
 class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
-    # estimated_firm: landmarks are held to the body (docs/decisions/0059), as a new avatar's are
-    poses: Literal["given", "estimated", "estimated_firm"]
+    poses: Literal["given", "estimated"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
     background: BackgroundKind  # how it is known what is behind the person
@@ -212,6 +211,7 @@ def _observations(
         frame_indices=clip.frame_indices,
         timestamps=clip.timestamps,
         exposure=clip.exposure,
+        exposure_std=clip.exposure_std,
         averaging_space=clip.averaging_space,
         train=train,
         validation=validation,
@@ -233,8 +233,7 @@ def _track(
     """The poses that came with the clip, or a body fitted to what detectors found."""
     if params.poses == "given":
         return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None)
-    firm = params.poses == "estimated_firm"
-    fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps, firm=firm)
+    fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
     stacks = [person.mattes for person in people]
     fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
     trusted = shown.float() * fitted.trust

@@ -34,7 +34,12 @@ from deblur_avatar.reporting.picture_strips import (
     strip_sheet,
     strips_of_scene,
 )
-from deblur_avatar.reporting.report_tables import NOT_KNOWN, facts_of, tables_of
+from deblur_avatar.reporting.report_tables import (
+    NOT_KNOWN,
+    estimated_shutters,
+    facts_of,
+    tables_of,
+)
 from deblur_avatar.reporting.results_table import (
     BOUNDS,
     NOT_MEASURED,
@@ -193,7 +198,8 @@ def _section(
     preprocess = _read(metrics / "preprocess" / f"{scene}.json")
     return {
         "name": scene,
-        "facts": facts_of(_read(metrics / "blur" / f"{scene}.json"), preprocess),
+        "facts": facts_of(_read(metrics / "blur" / f"{scene}.json"), preprocess)
+        + estimated_shutters(results),
         "strips": [_on_page(strip) for strip in strips],
         "tables": tables_of(results, preprocess),
         "without_pictures": _without_pictures(scene, results, pictures),

@@ -142,6 +142,15 @@ def _held_out_blur(results: Mapping[str, Mapping[str, Any]]) -> Table:
     return results_table(results, REBLUR, title="Held-out blurred frames", note=note)
 
 
+def estimated_shutters(results: Mapping[str, Any]) -> list[str]:
+    """How long the shutter was open as each method found it, of footage that does not say."""
+    return [
+        f"{method} finds that the shutter was open for {1e3 * result['shutter_s']:.1f} ms"
+        for method, result in results.items()
+        if result.get("shutter_s") is not None
+    ]
+
+
 def facts_of(blur: Mapping[str, Any], preprocess: Mapping[str, Any]) -> list[str]:
     """How the scene was made, in a few words each; nothing of what was not measured."""
     facts = []

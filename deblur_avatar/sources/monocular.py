@@ -4,6 +4,7 @@ The one recorded camera stands at the origin of the world, axes as OpenCV's, and
 it did move, the person moves before it (`given_poses` says why that loses nothing).
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -31,6 +32,8 @@ from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
 from deblur_avatar.sources.source import Segment
 
+GUESSED_EXPOSURE_STD = math.log(2)  # a guess is believed to within a factor of two
+
 
 class MonocularParams(Params):
     """One video of one person by one camera, blurred as it is; the camera may move.
@@ -47,7 +50,8 @@ class MonocularParams(Params):
     image_height: Count  # frames are scaled down to this height
     focal: Literal["estimated", "field_of_view"] | Positive  # pixels of the footage as recorded
     field_of_view: Annotated[float, Field(gt=5, lt=150)]  # degrees, longer side; the last resort
-    exposure_s: Positive | None  # seconds the shutter is open; null: `shutter` says
+    # Seconds the shutter is open; null: `shutter` says; estimated: `shutter` is a first guess.
+    exposure_s: Literal["estimated"] | Positive | None
     shutter: Annotated[float, Field(gt=0, le=1)]  # exposure as a share of the frame interval
     averaging_space: Literal["srgb", "linear"]
     held_out: Annotated[float, Field(ge=0, lt=1)]  # last part of the clip, kept from training
@@ -101,6 +105,7 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         folder = _path(params.masks, "masks")
         mattes = read_masks(folder, footage.numbers, footage.total, (width, height))
     count = len(footage.frames)
+    exposure, exposure_std = _exposure(params, footage.interval)
     clip = Clip(
         frames=footage.frames[None],
         mattes=None if mattes is None else mattes[None],
@@ -112,7 +117,8 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         ),
         timestamps=(footage.timestamps - footage.timestamps[0]).float(),
         blurred=True,
-        exposure=params.exposure_s or params.shutter * footage.interval,
+        exposure=exposure,
+        exposure_std=exposure_std,
         averaging_space=params.averaging_space,
         held_out_from=max(1, round(count * (1 - params.held_out))),
         initial=_poses(params, footage, body),
@@ -124,6 +130,15 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         true_blur_exposure=None,
     )
     return clip, _no_truth(height, width)
+
+
+def _exposure(params: MonocularParams, interval: float) -> tuple[float, float | None]:
+    """Seconds the shutter was open, and how far that may be off where it is a guess."""
+    if params.exposure_s is None:
+        return params.shutter * interval, None
+    if params.exposure_s == "estimated":
+        return params.shutter * interval, GUESSED_EXPOSURE_STD
+    return params.exposure_s, None
 
 
 def _path(text: str, key: str) -> Path:

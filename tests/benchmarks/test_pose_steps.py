@@ -76,9 +76,7 @@ def test_the_more_is_true_the_nearer_is_the_fitted_body(body, clip, seen, truth,
         monkeypatch.setattr(body_fit, name, value)
     true = posed(body, truth.poses).joints
     found = {
-        name: errors(*_given(clip, body, seen, truth, FITS[name]), true, firm=False)[
-            "registered_mm"
-        ]
+        name: errors(*_given(clip, body, seen, truth, FITS[name]), true)["registered_mm"]
         for name in ("as estimated", "true landmarks and guess", "all true")
     }
     assert found["all true"] < found["as estimated"] / 2

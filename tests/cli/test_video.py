@@ -242,6 +242,9 @@ class Pipeline:
         if stage == "check":
             (folder / "metrics/check").mkdir(parents=True, exist_ok=True)
             write_json(folder / f"metrics/check/{name}.json", {"verdict": "ok", "findings": {}})
+        if stage == "evaluate":
+            (folder / "metrics/trajectory").mkdir(parents=True, exist_ok=True)
+            write_json(folder / f"metrics/trajectory/{name}.json", {})
         return self.code(words[-1])
 
 
@@ -446,6 +449,21 @@ def test_what_is_not_installed_is_said_before_anything_is_written(root, video, m
     assert main(["video", str(video), "--name", "anna"]) == 1
     assert "no_such_module not installed; run once: deblur-avatar setup" in capsys.readouterr().err
     assert not (root / "avatars").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("frames", "open for 31.0 ms, give or take 8.0, as the frames tell"),
+        ("guess", "31.0 ms is a guess, nothing moved enough to tell"),
+        (None, ""),
+    ],
+)
+def test_how_long_the_shutter_was_open_is_said_where_the_footage_does_not(caplog, source, said):
+    told = {"shutter_s": 0.031, "shutter_std_s": 0.008, "shutter_from": source}
+    with caplog.at_level(logging.INFO):
+        command._tell_shutter({} if source is None else told)
+    assert [said] == [line.removeprefix("The shutter:  ") for line in caplog.messages or [""]]
 
 
 @pytest.mark.parametrize("method", ["lean", "paper"])

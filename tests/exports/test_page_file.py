@@ -54,6 +54,16 @@ def test_frames_take_the_room_that_is_left_up_to_10000_gaussians(
     assert len([name for name in header["arrays"] if name.startswith("truth")]) == taken
 
 
+def test_an_estimated_shutter_is_the_one_that_frames_are_matched_with(
+    rough, fitted_run, page_exporter
+):
+    run = fitted_run(rough())
+    estimated = dataclasses.replace(run, motion=dataclasses.replace(run.motion, shutter=0.004))
+    told = header_of(page_exporter.page([run]))["scene"]["exposure"]
+    assert told == pytest.approx(run.observations.exposure)
+    assert header_of(page_exporter.page([estimated]))["scene"]["exposure"] == pytest.approx(0.004)
+
+
 def test_frames_lose_quality_before_any_is_left_out(fitted_run, rough, sharp):
     tries = list(_frames(fitted_run(rough(), sharp=sharp), 4))
     assert [len(taken) for taken, _ in tries] == [4] * 5 + [3] * 5 + [2] * 5 + [1] * 5 + [0]

@@ -109,6 +109,9 @@ def test_where_nothing_moves_the_guess_stands_and_that_is_said(filmed, caplog):
     assert found["shutter_from"] == "guess"
     assert found["shutter_s"] == pytest.approx(TRUE, rel=1e-4)
     assert found["shutter_std_s"] == pytest.approx(TRUE * math.log(2), rel=1e-4)
+    closer = dataclasses.replace(seen, exposure_std=0.1)  # who guessed it says how well
+    found = motion.settle(closer, exposure_renderer(model, closer))
+    assert found["shutter_std_s"] == pytest.approx(TRUE * 0.1, rel=1e-4)
     assert "nothing moved enough to tell: the guess stands" in caplog.text
 
 

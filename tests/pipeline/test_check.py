@@ -76,6 +76,16 @@ def test_blur_is_the_way_of_the_joints_while_the_shutter_is_open(seen):
     assert blur_extent(dataclasses.replace(seen, exposure=None)) == {}
 
 
+def test_a_shutter_that_is_guessed_fails_no_clip(seen):
+    long = dataclasses.replace(seen, exposure=100 * seen.exposure)
+    guessed = dataclasses.replace(long, exposure_std=0.7)
+    assert verdicts(long)["blur_share"] == "fail"
+    assert verdicts(guessed)["blur_share"] == "warn"
+    advice = check_scene(guessed, {})["findings"]["blur_share"]["advice"]
+    assert "as long as is guessed" in advice
+    assert "exposure_s" in advice
+
+
 def test_directions_count_from_the_front_to_the_left(seen):
     np.testing.assert_allclose(seen_azimuths(seen), 0, atol=0.5)
     turned = dataclasses.replace(

@@ -12,13 +12,11 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
 from deblur_avatar.body_estimation import body_fit
-from deblur_avatar.body_estimation.body_fit import fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.matting import near_person
 from deblur_avatar.imaging.resampling import crop_and_scale
-from deblur_avatar.pipeline import preprocess as module
 from deblur_avatar.pipeline.preprocess import Preprocessed, PreprocessParams, preprocess
 from tests.walking_person import FPS, SIZE, detect_perfectly, ring_of_cameras, walking_poses
 
@@ -344,24 +342,6 @@ def test_poses_say_which_pose_model_they_come_from(
     assert made.metrics["pose_model"] == model
     assert ("the smaller pose model" in caplog.text) == (model == "full")
     assert ("deblur-avatar setup" in caplog.text) == (model == "full")
-
-
-@pytest.mark.parametrize(("wanted", "firm"), [("estimated", False), ("estimated_firm", True)])
-def test_poses_are_estimated_as_firmly_as_asked(
-    clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch, wanted, firm
-):
-    asked = []
-
-    def fit(*given, firm):
-        asked.append(firm)
-        return fit_body(*given, firm=firm)
-
-    monkeypatch.setattr(body_fit, "COARSE_STEPS", 2)
-    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
-    monkeypatch.setattr(module, "fit_body", fit)
-    made = run(of_one_camera(clip), body, OneCamera(people[TRAIN]), poses=wanted, masks="estimated")
-    assert asked == [firm]
-    assert made.metrics["fit"]
 
 
 def test_given_poses_come_from_no_pose_model(clip: BlurryClip, body: Body):

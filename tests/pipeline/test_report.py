@@ -512,6 +512,15 @@ def test_facts_are_said_as_far_as_they_are_known():
     assert facts_of({}, {}) == []
 
 
+def test_an_estimated_shutter_is_a_fact(project):
+    untrue(project, "paper", 30.0)
+    untrue(project, "lean", 31.0)
+    path = project / "metrics" / "mine" / "lean.json"
+    write_json(path, json.loads(path.read_text()) | {"shutter_s": 0.0309})
+    assert "lean finds that the shutter was open for 30.9 ms" in made(project).page
+    assert made(project).page.count("finds that the shutter") == 1
+
+
 def untrue(project, method, explained):
     """A scene of a user's own video: nothing but blurred frames to compare with."""
     content = result("mine", method, 0.0) | {

@@ -163,6 +163,17 @@ def test_an_estimated_shutter_comes_with_its_uncertainty(go_on, method, observat
     assert not any(name.startswith("shutter") for name in cost)
 
 
+def test_a_shutter_is_an_unknown_where_the_clip_only_guesses_it(observations, method):
+    told = method("lean", shutter={"kind": "as_told", "rate": 0.02, "weight": 0.0}).motion
+    guessed = dataclasses.replace(observations, exposure_std=0.7)
+    given = method("lean", shutter={"kind": "given"}).motion
+    for seen, params, unknown in (
+        (observations, told, False), (guessed, told, True), (guessed, given, False),
+    ):  # fmt: skip
+        trajectory = new_trajectory(seen, params, torch.Generator())
+        assert trajectory.log_shutter.requires_grad is unknown
+
+
 def test_one_blurred_frame_has_no_trajectory(make_observations, method):
     single = make_observations(frames=2)
     index = slice(0, 1)

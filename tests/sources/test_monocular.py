@@ -68,6 +68,14 @@ def test_an_exposure_in_seconds_wins_over_the_shutter(body: Body, video: Path):
     assert load(body, video, exposure_s=0.01)[0].exposure == 0.01
 
 
+def test_only_an_exposure_that_is_to_be_estimated_is_a_guess(body: Body, video: Path):
+    guessed, told = load(body, video, exposure_s="estimated")[0], load(body, video)[0]
+    assert guessed.exposure == told.exposure
+    assert guessed.exposure_std == pytest.approx(math.log(2))
+    assert told.exposure_std is None
+    assert load(body, video, exposure_s=0.01)[0].exposure_std is None
+
+
 def test_a_still_camera_s_focal_length_cannot_be_estimated_and_that_is_said(
     body: Body, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):

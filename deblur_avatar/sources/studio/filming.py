@@ -116,7 +116,7 @@ def film(scene: Set, generator: torch.Generator) -> Take:
     """Take all frames; what comes before the file is written."""
     params, frames, mattes = scene.params, [], []
     times = _times_of_instants(scene)
-    seen = _instants(scene, times.flatten())
+    seen = _instants(scene, times)
     count = times.shape[1]
     for time in run.progress(scene.timestamps.tolist(), "filming the street"):
         stack = torch.from_numpy(np.stack([next(seen) for _ in range(count)]))
@@ -135,9 +135,11 @@ def _times_of_instants(scene: Set) -> Float[Tensor, "F S"]:
     return scene.timestamps[:, None] + instants_of_frame(params.instants, exposure, readout)
 
 
-def _instants(scene: Set, times: Float[Tensor, " M"]) -> Iterator[Float32[np.ndarray, "H W 4"]]:
+def _instants(
+    scene: Set, times_of_frames: Float[Tensor, "F S"]
+) -> Iterator[Float32[np.ndarray, "H W 4"]]:
     """Light of the whole picture at each instant, and the person's coverage as fourth channel."""
-    moves = _moves_at(scene, times)
+    moves, times = _moves_at(scene, times_of_frames), times_of_frames.flatten()
     viewmats = scene.camera.viewmats(times)
     transforms = joint_transforms(
         scene.body, scene.betas.double(), moves.global_orient, moves.body_pose, moves.transl
@@ -164,13 +166,17 @@ def _instants(scene: Set, times: Float[Tensor, " M"]) -> Iterator[Float32[np.nda
         yield picture
 
 
-def _moves_at(scene: Set, times: Float[Tensor, " M"]) -> Moves:
-    """Poses at unevenly spaced times: the cloth's swing is followed on an even grid."""
+def _moves_at(scene: Set, times_of_frames: Float[Tensor, "F S"]) -> Moves:
+    """Poses at unevenly spaced times: the cloth's swing is followed on an even grid.
+
+    Its step is that of a frame's instants: those of neighbouring frames may overlap.
+    """
+    times = times_of_frames.flatten()
     moves = move(scene.params.motion, times, scene.seconds)
     unfitted = scene.params.unfitted_body
     if unfitted is None or unfitted.swing == 0:
         return moves
-    step = float(times.diff().min())
+    step = float(times_of_frames.diff(dim=int(times_of_frames.shape[1] > 1)).min())
     grid = torch.arange(math.ceil(float(times[-1] - times[0]) / step) + 2) * step + times[0]
     swing = scene.moves(grid).swing
     nearest = ((times - times[0]) / step).round().long()

@@ -96,8 +96,9 @@ def read_take(
         cameras = replace(clip.cameras, Ks=torch.cat([scene.K[None], clip.cameras.Ks[1:]]))
         exposure = params.film.shutter / params.film.fps
         clip = replace(
-            clip, mattes=take.mattes[None], initial=poses, cameras=cameras, exposure=exposure
-        )
+            clip, mattes=take.mattes[None], initial=poses, cameras=cameras, exposure=exposure,
+            exposure_std=None,
+        )  # fmt: skip
     return clip, _reference(params, scene, take, ring, viewmats)
 
 
@@ -117,9 +118,9 @@ def _reading(path: Path, film: FilmParams) -> MonocularParams:
     """Nothing but the file is known; the frame rate is that of a folder."""
     return MonocularParams(
         source="monocular", path=str(path), frames=(0, None), stride=1, fps=film.fps,
-        image_height=film.size[1], focal="estimated", field_of_view=GUESSED_VIEW, exposure_s=None,
-        shutter=GUESSED_SHUTTER, averaging_space="linear", held_out=0.0, keypoints=None, masks=None,
-        poses=None,
+        image_height=film.size[1], focal="estimated", field_of_view=GUESSED_VIEW,
+        exposure_s="estimated", shutter=GUESSED_SHUTTER, averaging_space="linear", held_out=0.0,
+        keypoints=None, masks=None, poses=None,
     )  # fmt: skip
 
 

@@ -161,10 +161,23 @@ def test_with_nothing_given_only_the_file_is_known(body: Body):
     assert clip.blurred
     assert (clip.initial, clip.mattes, clip.landmarks) == (None, None, None)
     assert clip.exposure == pytest.approx(0.05)
+    assert clip.exposure_std is not None
     assert reference.filmed is not None
     away = (clip.frames[0].float() - filmed.frames.float()).abs().mean()
     assert 0 < away < 6  # what the encoder lost
     assert clip.cameras.names == ("camera", "test1", "test2")
+
+
+def test_what_is_given_is_no_guess(given: tuple[Clip, Reference]):
+    assert given[0].exposure_std is None
+
+
+def test_exposures_of_neighbouring_frames_may_overlap(body: Body, with_option):
+    """A shutter that is hardly shut, rows read one after the other: times go back at a frame."""
+    unfitted = OPTIONS["unfitted_body"]
+    longer = take(body, unfitted_body=unfitted, rolling_shutter={"readout": 0.4}, shutter=1.0)
+    assert len(longer.frames) == len(with_option("unfitted_body").frames)
+    assert (longer.mattes > 0).sum() > (with_option("unfitted_body").mattes > 0).sum()
 
 
 def test_a_coarser_encoding_loses_more(body: Body, plain: Take):
