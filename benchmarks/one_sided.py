@@ -13,19 +13,14 @@ takes some 40 s on two idle cores, with its scores.
 """
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
-import torch
-
-from benchmarks.rasterizer import machine
-from benchmarks.settings_search import known_rows
+from benchmarks.scene_fits import PROOF, SIZE, complete_record, parser_of
 from benchmarks.time_to_quality import (
-    PARAMS,
     filmed_scene,
     fitted,
     novel_views,
@@ -34,17 +29,15 @@ from benchmarks.time_to_quality import (
 )
 from deblur_avatar import run
 from deblur_avatar.avatars.kinds import avatar_from_artifact
-from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
 from deblur_avatar.evaluation.surface_quality import surface_quality
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 
-PROOF = Path("experiments/proof/params.yaml")
 TURNS = {"striding": 0.2, "jumping": -0.1, "dancing": 0.3}  # of tuning scenes, by the whole clip
 VARIANTS = ("lean", "filled", "one_sided")
 SCORES = ("psnr", "psnr_seen", "flip", "psnr_validation", "fur_share")
-SIZE = 192  # pixels
+KEYS = ("scene", "variant", "seed")
 
 
 def recipe_of(variant: str) -> RecipeParams:
@@ -79,14 +72,9 @@ def row_of(
     }  # fmt: skip
 
 
-def key_of(row: Mapping[str, Any]) -> tuple[str, str, int]:
-    """What tells rows apart."""
-    return row["scene"], row["variant"], row["seed"]
-
-
 def summary_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
     """By variant: means, and what each score gains over `lean`'s, scene by scene, seed by seed."""
-    found = {key_of(row): row for row in rows}
+    found = {tuple(row[key] for key in KEYS): row for row in rows}
     summary = {}
     for variant in sorted({row["variant"] for row in rows}):
         own = [row for row in rows if row["variant"] == variant]
@@ -108,41 +96,14 @@ def summary_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]
 
 def main(arguments: argparse.Namespace) -> None:
     """Fit, print, write."""
-    torch.set_num_threads(1)
-    path: Path | None = arguments.json
-    schedule = load_params(PARAMS, f"schedules.{arguments.schedule}", ScheduleParams)
-    rows = known_rows(path, arguments.schedule)
-    done = {key_of(row) for row in rows}
-    for seed, scene, variant in product(arguments.seeds, arguments.scenes, arguments.variants):
-        if (scene, variant, seed) in done:
-            continue
-        rows.append(row_of(scene, variant, seed, arguments.folder, schedule))
-        print(json.dumps(rows[-1]), flush=True)
-        if path:
-            run.write_json(path, record_of(rows, arguments.schedule))
-    print(json.dumps(summary_of(rows), indent=1))
-
-
-def record_of(rows: Sequence[Mapping[str, Any]], schedule: str) -> dict[str, Any]:
-    """Where, how long, what each fit scored, and what that says."""
-    return {
-        "machine": machine(0.0), "schedule": schedule, "turns": TURNS,
-        "summary": summary_of(rows), "rows": sorted((dict(row) for row in rows), key=key_of),
-    }  # fmt: skip
+    every = product(arguments.seeds, arguments.scenes, arguments.variants)
+    wanted = ((scene, variant, seed) for seed, scene, variant in every)
+    complete_record(arguments, KEYS, wanted, row_of, summary_of, turns=TURNS)
 
 
 def _arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", type=Path, help="write the record to this file, or go on with it")
+    parser = parser_of(__doc__.splitlines()[0], tuple(TURNS), (0, 1, 2), "data/one_sided")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS))
-    parser.add_argument("--scenes", nargs="+", choices=TURNS, default=list(TURNS))
-    parser.add_argument(
-        "--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the fits' draws"
-    )
-    parser.add_argument("--schedule", default="medium", help="of params.yaml")
-    parser.add_argument(
-        "--folder", type=Path, default=Path("data/one_sided"), help="where films are kept"
-    )
     return parser.parse_args(words)
 
 

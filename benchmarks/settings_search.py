@@ -25,6 +25,7 @@ from typing import Any
 import torch
 
 from benchmarks.rasterizer import machine
+from benchmarks.scene_fits import known_rows
 from benchmarks.time_to_quality import PARAMS, fitted, settings_of
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
@@ -203,20 +204,6 @@ def wanted(arguments: argparse.Namespace, rows: Sequence[Mapping[str, Any]]) -> 
         ]
     done = {Cell.of(row) for row in rows}
     return [cell for cell in cells if cell not in done]
-
-
-def known_rows(path: Path | None, schedule_name: str) -> list[dict[str, Any]]:
-    """What a record has already; nothing, if there is none.
-
-    Raises:
-        SystemExit: if it is of another schedule.
-    """
-    known = json.loads(path.read_text()) if path and path.exists() else {}
-    if known.get("schedule", schedule_name) != schedule_name:
-        raise SystemExit(
-            f"{path} is of the schedule {known['schedule']}: give another file, --json"
-        )
-    return known.get("rows", [])
 
 
 def main(arguments: argparse.Namespace) -> None:

@@ -46,6 +46,10 @@ class Motion(Artifact):
     centre: Poses
     parameters: dict[str, Tensor]
 
+    def exposure(self, told: float | None) -> float | None:
+        """Seconds the shutter was open: as the motion estimated it, else as the clip told."""
+        return self.shutter or told
+
 
 def named_on_disk(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """A trajectory's tensors by the names that `Motion.parameters` has for them."""

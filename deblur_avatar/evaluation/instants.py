@@ -33,7 +33,7 @@ def pose_at(
     """
     if offset == 0:
         return motion.centre.at([position])
-    shutter = motion.shutter or exposure
+    shutter = motion.exposure(exposure)
     if len(motion.u) == 1 or not shutter:
         return _between_frames(motion, position, offset)
     row = exposure_of(motion, position)

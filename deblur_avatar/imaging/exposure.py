@@ -7,6 +7,7 @@ sub-frame stands for one `1 / (factor * fps)` of a second, so the shutter is ope
 `window / (factor * fps)`. Mattes are coverage: they are averaged as they are in either light.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from typing import Literal
@@ -19,6 +20,8 @@ from torch import Tensor
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 
 AveragingSpace = Literal["srgb", "linear"]
+
+GUESS_STD = math.log(2)  # of the logarithm of an exposure that is guessed: to a factor of two
 
 
 def expose(

@@ -26,9 +26,10 @@ from deblur_avatar.geometry.rotations import (
     quat_to_axis_angle,
 )
 from deblur_avatar.geometry.splines import fit_knots
+from deblur_avatar.imaging.exposure import GUESS_STD
 from deblur_avatar.motion.knot_spacing import choose_spacing
 from deblur_avatar.motion.pose_spline import knot_distance, pose_spline
-from deblur_avatar.motion.shutter_certainty import GUESS_STD, MAX_LOG_RATIO, shutter_std
+from deblur_avatar.motion.shutter_certainty import MAX_LOG_RATIO, shutter_std
 from deblur_avatar.motion.trajectory import (
     LEVER,
     FittedMotionParams,
@@ -56,19 +57,14 @@ class GivenShutter(Params):
 
 
 class EstimatedShutter(Params):
-    """How long the shutter was open is an unknown, near what the clip says."""
+    """How long the shutter was open is an unknown, near what the clip says.
 
-    kind: Literal["estimated"]
+    Always, or as told: where the clip says that it guesses.
+    """
+
+    kind: Literal["estimated", "as_told"]
     rate: Positive  # learning rate: share of itself a step
     weight: NonNegative  # of the squared logarithm of its ratio to what the clip says
-
-
-class ToldShutter(Params):
-    """Believed where the clip knows it, an unknown near it where the clip says that it guesses."""
-
-    kind: Literal["as_told"]
-    rate: Positive  # both as of an estimated one
-    weight: NonNegative
 
 
 class ClipPriors(Params):
@@ -85,7 +81,7 @@ class ClipParams(FittedMotionParams):
     virtual_poses: Count  # at most, where `pixels_per_pose` says how many
     # Farthest travel per virtual pose, in pixels of a picture 192 high; 0: always all of them.
     pixels_per_pose: NonNegative
-    shutter: Annotated[GivenShutter | EstimatedShutter | ToldShutter, Field(discriminator="kind")]
+    shutter: Annotated[GivenShutter | EstimatedShutter, Field(discriminator="kind")]
     quadrature: Quadrature  # of the instants that are saved; fitting takes midpoints
     knot_frames: Positive  # frames between two knots of the trajectory, at most
     finest_knot_frames: Positive  # and at least, where given poses ask for finer knots

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.imaging.exposure import GUESS_STD
 
 # The render of one frame [H, W, 3], had the logarithm of the shutter been this.
 Exposed = Callable[[int, float], Tensor]
 
 MAX_LOG_RATIO = math.log(4)  # an estimated shutter is between a quarter and four times the guess
-GUESS_STD = math.log(2)  # of a first guess: it is believed to within a factor of two
 STEP = 0.05  # to either side, where a picture's change with the shutter is measured
 MIN_VALUE = 1 / 255  # root mean square change of the person's pixels with a shutter twice as long
 PARTS = 8  # of the clip; frames next to each other share most of what is wrong with them

@@ -95,12 +95,12 @@ _SCALES = {
 }  # fmt: skip
 
 _OF_A_GUESSED_EXPOSURE = {  # of which a clip says nothing bad for sure
-    "blur_share": Scale(
-        0.15, math.inf, "share of the person's height",
-        "If the shutter was open as long as is guessed, the fastest part is smeared over much of "
-        "the person: say clip.exposure_s where it is known.",
+    "blur_share": _SCALES["blur_share"]._replace(
+        fail=math.inf,
+        advice="If the shutter was open as long as is guessed, the fastest part is smeared over "
+        "much of the person: say clip.exposure_s where it is known.",
     ),
-}  # fmt: skip
+}
 
 
 def check_scene(observations: Observations, fit: Mapping[str, Any]) -> dict[str, Any]:

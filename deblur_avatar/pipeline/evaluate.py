@@ -182,7 +182,7 @@ def _motion(
         return errors
     frames = list(observations.train)
     errors |= pose_errors(observations.body, motion.centre.at(frames), true.at(frames))
-    exposure = motion.shutter or observations.exposure
+    exposure = motion.exposure(observations.exposure)
     if exposure:
         errors |= travel_errors(
             observations.body, motion, exposure, frames, reference.motion_times, reference.motion

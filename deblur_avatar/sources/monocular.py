@@ -4,7 +4,6 @@ The one recorded camera stands at the origin of the world, axes as OpenCV's, and
 it did move, the person moves before it (`given_poses` says why that loses nothing).
 """
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -25,14 +24,13 @@ from deblur_avatar.config.section import (
     Positive,
 )
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.imaging.exposure import GUESS_STD
 from deblur_avatar.sources.footage import Footage, read_footage
 from deblur_avatar.sources.footage_camera import camera_of_footage
 from deblur_avatar.sources.given_masks import read_masks
 from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
 from deblur_avatar.sources.source import Segment
-
-GUESSED_EXPOSURE_STD = math.log(2)  # a guess is believed to within a factor of two
 
 
 class MonocularParams(Params):
@@ -137,7 +135,7 @@ def _exposure(params: MonocularParams, interval: float) -> tuple[float, float | 
     if params.exposure_s is None:
         return params.shutter * interval, None
     if params.exposure_s == "estimated":
-        return params.shutter * interval, GUESSED_EXPOSURE_STD
+        return params.shutter * interval, GUESS_STD
     return params.exposure_s, None
 
 

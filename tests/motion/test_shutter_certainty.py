@@ -9,8 +9,9 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
 from deblur_avatar.avatars.render import render_avatar
+from deblur_avatar.imaging.exposure import GUESS_STD
 from deblur_avatar.motion.clip import ClipMotion
-from deblur_avatar.motion.shutter_certainty import GUESS_STD, shutter_std
+from deblur_avatar.motion.shutter_certainty import shutter_std
 from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.pipeline.trajectory import exposure_renderer
 

@@ -157,7 +157,7 @@ def _scene(shown: Shown) -> dict[str, Any]:
     others = [_places(shown, motion) @ world_from_stage - middle for motion in shown.motions[1:]]
     largest = torch.stack([own, *map(_half_size, others)]).amax(0)
     away = camera_centres(camera.viewmat) @ world_from_stage - middle
-    exposure = shown.run.motion.shutter or observations.exposure or 0.0
+    exposure = shown.run.motion.exposure(observations.exposure) or 0.0
     return {
         "world_from_stage": world_from_stage.flatten().tolist(),
         "target": (world_from_stage @ middle).tolist(),
