@@ -15,6 +15,8 @@ from deblur_avatar.bodies.posed_body import (
 )
 from deblur_avatar.body_estimation.body_landmarks import landmark_map
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+from deblur_avatar.body_estimation.part_fit import GROUPS, HAND_ROWS, PART_MAP
+from deblur_avatar.body_estimation.part_landmarks import HAND_COUNT, PartLandmarks
 from deblur_avatar.geometry.cameras import look_at, project
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
@@ -86,4 +88,27 @@ def detect_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) ->
         visibility=visibility,
         mattes=torch.from_numpy(np.stack(mattes).astype(np.uint8) * 255),
         world=world,
+    )
+
+
+def parts_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) -> PartLandmarks:
+    """Hands and face where the body has them; those landmarks that a fit does not use are zero."""
+    motion = poses.betas, poses.global_orient, poses.body_pose, poses.transl
+    joints = shaped_joints(body, poses.betas)
+    places = PART_MAP.positions(joint_transforms(body, *motion), joints, PART_MAP.offsets)
+    pixels, _ = project(places, cameras.Ks[camera], cameras.viewmats[camera])
+    away = (places - torch.linalg.inv(cameras.viewmats[camera])[:3, 3]).norm(dim=-1)
+    for rows in GROUPS:
+        away[:, rows] *= cameras.Ks[camera][0, 0] / away[:, rows].mean(1, keepdim=True)
+    seen = torch.cat([pixels, away[..., None]], dim=-1)
+    frames = len(poses.transl)
+    hands = torch.zeros(frames, 2, HAND_COUNT, 3)
+    for side in (0, 1):
+        hands[:, side, list(HAND_ROWS)] = seen[:, GROUPS[side]]
+    return PartLandmarks(
+        hands=hands,
+        left=torch.tensor([0.98, 0.02]).repeat(frames, 1),
+        hand_found=torch.ones(frames, 2, dtype=torch.bool),
+        face=seen[:, GROUPS[2]],
+        face_found=torch.ones(frames, dtype=torch.bool),
     )

@@ -1,9 +1,9 @@
 """Body fitting: one shape, and one pose a frame, from one or several cameras' landmarks.
 
 Landmarks in space, triangulated or (one view) lifted, bring the body near; their projections and
-the mattes' outlines then refine it. Motion is a spline over the clip, solved for all frames at
-once. Terms are squared distances in standard deviations; those of pictures saturate, since
-detectors are not noisy but wrong.
+the mattes' outlines then refine it. Hands and face that were looked for say which way theirs look.
+Motion is a spline over the clip, solved for all frames at once. Terms are squared distances in
+standard deviations; those of pictures saturate, since detectors are not noisy but wrong.
 """
 
 import logging
@@ -29,6 +29,7 @@ from deblur_avatar.body_estimation.monocular_prior import (
     guess_cost,
     standing_cost,
 )
+from deblur_avatar.body_estimation.part_fit import PART_MAP, Parts, gather_parts, part_cost
 from deblur_avatar.body_estimation.pose_limits import PoseLimits, pose_limits
 from deblur_avatar.body_estimation.silhouettes import (
     Silhouettes,
@@ -37,7 +38,7 @@ from deblur_avatar.body_estimation.silhouettes import (
     silhouettes,
 )
 from deblur_avatar.body_estimation.surface_samples import SurfaceSamples, sample_evenly
-from deblur_avatar.body_estimation.triangulation import Triangulated, triangulate
+from deblur_avatar.body_estimation.triangulation import Triangulated, check_agreement, triangulate
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
@@ -75,6 +76,7 @@ class BodyFit(NamedTuple):
     extent: float  # the person's median height in the pictures, pixels
     trust: Float[Tensor, " F"]  # in [0, 1], how far a frame's pose rests on what was seen
     flags: dict[str, int]  # landmarks found wrong, by kind; of one view alone
+    parts: dict[str, float]  # share of the views' frames with each hand and the face, if asked for
 
 
 class _Unknowns(NamedTuple):
@@ -85,6 +87,7 @@ class _Unknowns(NamedTuple):
     body_pose: Float[Tensor, "D 3*K"]
     transl: Float[Tensor, "D 3"]
     offsets: Float[Tensor, "M 3"]  # of landmarks
+    part_offsets: Float[Tensor, "N 3"]  # of points of hands and face
 
 
 class _Posed(NamedTuple):
@@ -96,6 +99,7 @@ class _Posed(NamedTuple):
     transforms: Float[Tensor, "F J 4 4"]  # rest to posed
     joints: Float[Tensor, "F J 3"]
     landmarks: Float[Tensor, "F L 3"]
+    rest: Float[Tensor, "J 3"]  # of this person
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,7 @@ class _Problem:
     confidences: Float[Tensor, "V F L"]
     found: Triangulated
     one: OneView | None
+    parts: Parts | None
     outlines: Silhouettes
     orient: Float[Tensor, "F 3 3"]  # first guess
     basis: Float[Tensor, "F D"]  # frames from control values
@@ -166,6 +171,7 @@ def fit_body(
         extent=problem.extent,
         trust=trust,
         flags={} if prior is None else prior.flags,
+        parts={} if problem.parts is None else problem.parts.shares(),
     )
 
 
@@ -194,21 +200,23 @@ def _problem(
     Ks, viewmats = cameras.Ks[views], cameras.viewmats[views]
     if one is None:
         found = triangulate(pixels, confidences, Ks, viewmats, OUTLIER_SHARE * extent)
-        _check_agreement(found, confidences, [cameras.names[index] for index in recorded])
+        check_agreement(found, confidences, [cameras.names[index] for index in recorded])
     else:
         found = one.found
+    parts = gather_parts(people, extent)
     orient, transl = first_guess(body, marks, found, basis)
     problem = _Problem(
         body=body,
         surface=sample_evenly(body, SURFACE_POINTS),
         marks=marks,
-        limits=pose_limits(),
+        limits=pose_limits(fingers=parts is not None and parts.hands_seen),
         Ks=Ks,
         viewmats=viewmats,
         pixels=pixels,
         confidences=confidences,
         found=found,
         one=one,
+        parts=parts,
         outlines=silhouettes([person.mattes for person in people]),
         orient=orient,
         basis=basis,
@@ -226,23 +234,6 @@ def _extent(people: list[Landmarks]) -> float:
     return float(torch.cat(heights).median())
 
 
-def _check_agreement(
-    found: Triangulated, confidences: Float[Tensor, "V F L"], names: list[str]
-) -> None:
-    """Refuse views that never agree; warn of one that mostly saw something else."""
-    if not found.found.any():
-        raise ArtifactError("no two cameras agree on where the person is; check the calibration")
-    for name, agreed, seen in zip(names, found.inliers, confidences > 0, strict=True):
-        share = float(agreed.sum() / seen.sum().clamp(min=1))
-        if share < 0.5:
-            logger.warning(
-                "camera %s agrees with the others on %.0f %% of the landmarks; does it follow "
-                "another person, or is it out of time?",
-                name,
-                100 * share,
-            )
-
-
 def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
     body = problem.body
     turn, transl = problem.basis @ unknowns.turn, problem.basis @ unknowns.transl
@@ -258,6 +249,7 @@ def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
         transforms=transforms,
         joints=(transforms[..., :3, :3] @ joints[..., None])[..., 0] + transforms[..., :3, 3],
         landmarks=problem.marks.positions(transforms, joints, unknowns.offsets),
+        rest=joints,
     )
 
 
@@ -278,8 +270,10 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         body_pose=torch.zeros(knots, 3 * (joints - 1), requires_grad=True),
         transl=transl.clone().requires_grad_(),
         offsets=problem.marks.offsets.clone().requires_grad_(),
+        part_offsets=PART_MAP.offsets.clone().requires_grad_(),
     )
-    groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
+    rates = RATES | {"part_offsets": RATES["offsets"]}
+    groups = [{"params": [value], "lr": rates[name]} for name, value in unknowns._asdict().items()]
     optimiser = torch.optim.Adam(groups)
     steps = COARSE_STEPS + FINE_STEPS
     schedule = fit_rates(optimiser, COARSE_STEPS, FINE_STEPS)
@@ -292,6 +286,11 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         if problem.one is not None:
             loss = loss + guess_cost(problem.one, problem.marks, posed.landmarks)
             loss = loss + standing_cost(problem.one, posed.landmarks, problem.interval)
+        if problem.parts is not None:
+            places = PART_MAP.positions(posed.transforms, posed.rest, unknowns.part_offsets)
+            cameras = problem.Ks, problem.viewmats, problem.extent
+            saturating = step >= COARSE_STEPS
+            loss = loss + part_cost(problem.parts, places, *cameras, saturating=saturating)
         if step < COARSE_STEPS:
             loss = loss + _landmarks_in_space(problem, posed)
         else:
@@ -370,13 +369,14 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
     relaxed = pose / limits.std[:, None]
     away = (unknowns.offsets - marks.offsets) / marks.stds[:, None]
+    part_away = (unknowns.part_offsets - PART_MAP.offsets) / PART_MAP.stds[:, None]
     step = problem.interval**2
     acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
     rotations = torch.cat([posed.turn[:, None], pose], dim=1)
     angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
     # What is one for the clip is weighed against as many measurements as there are frames.
     shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
-    offsets = len(pose) ** 0.5 * OFFSET_TRUST * away
+    offsets = len(pose) ** 0.5 * OFFSET_TRUST * torch.cat([away, part_away])
     squares = [shape, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
     return torch.stack([term.square().sum() for term in squares]).sum()
 

@@ -6,10 +6,7 @@ with the centre of the top left pixel at (0.5, 0.5).
 """
 
 import logging
-import os
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +15,9 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar import run
+from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
 from deblur_avatar.body_estimation.pose_model import COMPLEXITY, PoseModel, installed_model
+from deblur_avatar.body_estimation.quiet import quiet_stderr
 
 logger = logging.getLogger(__name__)
 
@@ -35,6 +34,7 @@ class Landmarks:
     mattes: UInt8[Tensor, "F H W"]  # coverage
     world: Float[Tensor, "F L 3"] | None = None  # a guess: metres about the hips, the camera's axes
     model: PoseModel | None = None  # of MediaPipe's; None: another detector
+    parts: PartLandmarks | None = None  # hands and face, where they were looked for
 
 
 # Finds one person in consecutive frames of one still camera.
@@ -59,7 +59,7 @@ def detect_with_mediapipe(
     world = torch.zeros(count, COUNT, 3)
     mattes = torch.zeros(count, height, width, dtype=torch.uint8)
     model = model or installed_model()
-    with _quiet_stderr():
+    with quiet_stderr():
         from mediapipe.python.solutions.pose import Pose  # takes a second, so only when asked
 
         detector = Pose(
@@ -70,7 +70,7 @@ def detect_with_mediapipe(
         )
     with detector:
         for index in run.progress(range(count), "landmarks and mattes"):
-            with _quiet_stderr():
+            with quiet_stderr():
                 result = detector.process(np.ascontiguousarray(frames[index].numpy()))
             if result.pose_landmarks is None or result.segmentation_mask is None:
                 continue
@@ -84,18 +84,3 @@ def detect_with_mediapipe(
             mask = torch.from_numpy(result.segmentation_mask.copy())
             mattes[index] = (mask * 255).round().clamp(0, 255).to(torch.uint8)
     return Landmarks(found, points, visibility, mattes, world, model)
-
-
-@contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Silence MediaPipe's C++ code, which logs past every switch of its own."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    with open(os.devnull, "w") as nowhere:  # noqa: PTH123
-        os.dup2(nowhere.fileno(), 2)
-        try:
-            yield
-        finally:
-            sys.stderr.flush()
-            os.dup2(kept, 2)
-            os.close(kept)

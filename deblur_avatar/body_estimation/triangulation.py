@@ -5,6 +5,7 @@ Detectors mistake left for right and the front for the back, in one view for man
 is not merely noisy but wrong: what most views agree on wins.
 """
 
+import logging
 from itertools import combinations
 from typing import NamedTuple
 
@@ -12,7 +13,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
+
+logger = logging.getLogger(__name__)
 
 DAMPING = 1e-9  # keeps the normal equations of a point that no two views see solvable
 
@@ -68,6 +72,27 @@ def triangulate(
         inliers=inliers & found,
         residuals=torch.where(seen & found, residuals, 0.0).float(),
     )
+
+
+def check_agreement(
+    found: Triangulated, confidences: Float[Tensor, "V F L"], names: list[str]
+) -> None:
+    """Refuse views that never agree; warn of one that mostly saw something else.
+
+    Raises:
+        ArtifactError: if no two views agree on any landmark.
+    """
+    if not found.found.any():
+        raise ArtifactError("no two cameras agree on where the person is; check the calibration")
+    for name, agreed, seen in zip(names, found.inliers, confidences > 0, strict=True):
+        share = float(agreed.sum() / seen.sum().clamp(min=1))
+        if share < 0.5:
+            logger.warning(
+                "camera %s agrees with the others on %.0f %% of the landmarks; does it follow "
+                "another person, or is it out of time?",
+                name,
+                100 * share,
+            )
 
 
 def _solve(

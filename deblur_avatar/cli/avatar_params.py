@@ -117,7 +117,7 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "clip": clip,
         "blur": {"frames": "interpolated", "factor": 8, "window": 33, "averaging_space": "linear"},
         "preprocess": {
-            "poses": "estimated",
+            "poses": "estimated_in_detail",
             "masks": "estimated",
             "background": "auto",
             # By the detector's guess and feet that stand; refined on one camera alone it drifts.

@@ -27,6 +27,7 @@ from deblur_avatar.body_estimation.body_fit import fit_body
 from deblur_avatar.body_estimation.fit_quality import measure_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
 from deblur_avatar.body_estimation.occluded_surface import occluded_fraction
+from deblur_avatar.body_estimation.part_landmarks import detect_parts
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.person_crops import person_crops
 from deblur_avatar.body_estimation.pose_model import PoseModel
@@ -50,7 +51,8 @@ from deblur_avatar.imaging.straightening import straightened
 class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
-    poses: Literal["given", "estimated"]
+    # estimated_in_detail: by the landmarks of hands and face too (docs/decisions/0064)
+    poses: Literal["given", "estimated", "estimated_in_detail"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
     background: BackgroundKind  # how it is known what is behind the person
@@ -186,6 +188,7 @@ class _Track:
     fit: dict[str, Any]
     flags: dict[str, int]
     model: PoseModel | None  # that found the landmarks; None where poses were given
+    parts: dict[str, float]  # share of the frames in which hands and face were found
 
 
 def _observations(
@@ -232,7 +235,12 @@ def _track(
 ) -> _Track:
     """The poses that came with the clip, or a body fitted to what detectors found."""
     if params.poses == "given":
-        return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None)
+        return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None, {})
+    if params.poses == "estimated_in_detail":
+        people = [
+            replace(person, parts=detect_parts(frames, person.points, person.found))
+            for frames, person in zip(clip.frames, people, strict=True)
+        ]
     fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
     stacks = [person.mattes for person in people]
     fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
@@ -242,7 +250,7 @@ def _track(
             "poses come from the smaller pose model and are up to two fifths farther off than "
             "need be; `deblur-avatar setup`, with npm on the path, brings the larger one"
         )
-    return _Track(fitted.poses, trusted, fit, fitted.flags, people[0].model)
+    return _Track(fitted.poses, trusted, fit, fitted.flags, people[0].model, fitted.parts)
 
 
 def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) -> dict[str, Any]:
@@ -269,6 +277,7 @@ def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) ->
         "fit": track.fit,
         "landmarks_found_wrong": track.flags,
         "track": smoothness,
+        **({"parts_found": track.parts} if track.parts else {}),
     }
 
 

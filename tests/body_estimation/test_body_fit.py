@@ -1,19 +1,27 @@
 import dataclasses
+import math
 
 import pytest
 import torch
 
-from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
+from deblur_avatar.bodies.posed_body import joint_transforms, posed_joints, posed_vertices
 from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
+from deblur_avatar.body_estimation.part_fit import PART_MAP
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from tests.process_state import by_threads
-from tests.walking_person import FPS, detect_perfectly, ring_of_cameras, walking_poses
+from tests.walking_person import (
+    FPS,
+    detect_perfectly,
+    parts_perfectly,
+    ring_of_cameras,
+    walking_poses,
+)
 
 pytestmark = pytest.mark.portable
 
@@ -85,7 +93,7 @@ def cost_of_offsets(body: Body, person: Landmarks, frames: int) -> float:
     def cost(away: float) -> float:
         unknowns = body_fit._Unknowns(
             torch.zeros(body.shape_dirs.shape[2]), still, still.repeat(1, len(body.parents) - 1),
-            transl, problem.marks.offsets + away,
+            transl, problem.marks.offsets + away, PART_MAP.offsets,
         )  # fmt: skip
         return float(body_fit._priors(problem, unknowns, body_fit._pose(problem, unknowns)))
 
@@ -189,3 +197,55 @@ def test_cameras_that_never_agree_are_refused(body: Body, people: list[Landmarks
     elsewhere = dataclasses.replace(people[1], points=people[1].points + 500)
     with pytest.raises(ArtifactError, match="no two cameras agree"):
         fit(body, [people[0], elsewhere], (0, 1))
+
+
+def gesturing(poses: Poses) -> Poses:
+    """The same walk, forearms and wrists twisted, fingers bent and the head turned aside."""
+    pose = poses.body_pose.clone()
+    turns = {"left_elbow": (0, 35), "left_wrist": (0, 40), "right_wrist": (0, -60)}
+    turns |= {"left_hand": (2, -50), "right_hand": (2, 70), "head": (1, 35)}
+    for name, (axis, degrees) in turns.items():
+        pose[:, SMPL_JOINT_NAMES.index(name) - 1, axis] = math.radians(degrees)
+    return dataclasses.replace(poses, body_pose=pose)
+
+
+def turned_off(body: Body, found: Poses, truth: Poses, names: tuple[str, ...]) -> list[float]:
+    """Mean angles between two poses' joints in the world, degrees."""
+    rows = [SMPL_JOINT_NAMES.index(name) for name in names]
+    ours, true = (joint_transforms(body, *motion(p))[:, rows, :3, :3] for p in (found, truth))
+    trace = (ours.transpose(-1, -2) @ true).diagonal(dim1=-2, dim2=-1).sum(-1)
+    return torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1))).mean(0).tolist()
+
+
+@pytest.mark.parametrize("recorded", [(0,), (0, 1)])
+def test_hands_and_head_look_where_their_landmarks_say(body: Body, truth: Poses, recorded):
+    """Landmarks of the whole body alone leave them tens of degrees off."""
+    poses = gesturing(truth)
+    plain = [detect_perfectly(body, poses, CAMERAS, camera) for camera in recorded]
+    whole = [
+        dataclasses.replace(person, parts=parts_perfectly(body, poses, CAMERAS, camera))
+        for person, camera in zip(plain, recorded, strict=True)
+    ]
+    names = ("left_wrist", "right_wrist", "left_hand", "right_hand", "head")
+    without, found = fit(body, plain, recorded), fit(body, whole, recorded)
+    before, after = (turned_off(body, each.poses, poses, names) for each in (without, found))
+    assert max(after) < 20
+    assert max(after) < 0.5 * min(before[:4])
+    assert after[4] < 0.7 * before[4]
+    assert without.parts == {}
+    assert found.parts == {"left_hand": 1.0, "right_hand": 1.0, "face": 1.0}
+
+
+def test_parts_that_were_not_found_change_nothing(body: Body, truth: Poses, people):
+    parts = parts_perfectly(body, truth, CAMERAS, 0)
+    nowhere = dataclasses.replace(
+        parts,
+        hands=parts.hands + 7.0,
+        hand_found=torch.zeros_like(parts.hand_found),
+        face_found=torch.zeros_like(parts.face_found),
+    )
+    plain = fit(body, people[:1], (0,))
+    asked = fit(body, [dataclasses.replace(people[0], parts=nowhere)], (0,))
+    assert asked.parts == {"left_hand": 0.0, "right_hand": 0.0, "face": 0.0}
+    for one, two in zip(motion(plain.poses), motion(asked.poses), strict=True):
+        assert torch.allclose(one, two, atol=1e-6)

@@ -8,8 +8,8 @@ def row(name: str) -> int:
     return SMPL_JOINT_NAMES.index(name) - 1
 
 
-def allowed(name: str, pose: list[float]) -> bool:
-    limits = pose_limits()
+def allowed(name: str, pose: list[float], *, fingers: bool = False) -> bool:
+    limits = pose_limits(fingers=fingers)
     values = torch.deg2rad(torch.tensor(pose))
     inside = (values >= limits.low[row(name)]) & (values <= limits.high[row(name)])
     return bool(inside.all())
@@ -36,3 +36,11 @@ def test_the_right_side_is_the_left_in_a_mirror():
     assert allowed("left_shoulder", [0, 0, -80])
     assert allowed("right_hip", [0, 0, -60])  # the leg is spread
     assert not allowed("right_hip", [0, 0, 60])
+
+
+def test_fingers_bend_towards_the_palm_where_hands_were_seen():
+    for name, sign in (("left_hand", 1), ("right_hand", -1)):
+        fist = [0, 0, -90 * sign]
+        assert not allowed(name, fist)
+        assert allowed(name, fist, fingers=True)
+        assert not allowed(name, [0, 0, 60 * sign], fingers=True)  # backwards

@@ -6,19 +6,27 @@ from typing import Any
 import pytest
 import torch
 
-from deblur_avatar.artifacts.body import Body
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.artifacts.clip import BlurryClip
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
 from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.landmarks import Landmarks
+from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.matting import near_person
 from deblur_avatar.imaging.resampling import crop_and_scale
 from deblur_avatar.pipeline.preprocess import Preprocessed, PreprocessParams, preprocess
-from tests.walking_person import FPS, SIZE, detect_perfectly, ring_of_cameras, walking_poses
+from tests.walking_person import (
+    FPS,
+    SIZE,
+    detect_perfectly,
+    parts_perfectly,
+    ring_of_cameras,
+    walking_poses,
+)
 
 FRAMES, TRAIN, RECORDED = 9, 1, (0, 1, 3)
 CAMERAS = ring_of_cameras()
@@ -342,6 +350,42 @@ def test_poses_say_which_pose_model_they_come_from(
     assert made.metrics["pose_model"] == model
     assert ("the smaller pose model" in caplog.text) == (model == "full")
     assert ("deblur-avatar setup" in caplog.text) == (model == "full")
+
+
+@pytest.mark.parametrize("cameras", ["one", "several"])
+def test_hands_and_face_are_looked_for_where_asked(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], poses: Poses, monkeypatch, cameras
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 2)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
+    looked = []
+
+    def looking(frames: torch.Tensor, points: torch.Tensor, found: torch.Tensor) -> PartLandmarks:
+        camera = int(frames[0, 0, 0, 0])
+        looked.append(camera)
+        assert torch.equal(points, people[camera].points)
+        assert bool(found.all())
+        parts = parts_perfectly(body, poses, CAMERAS, camera)
+        return dataclasses.replace(parts, face_found=torch.arange(FRAMES) < 3)
+
+    monkeypatch.setattr("deblur_avatar.pipeline.preprocess.detect_parts", looking)
+    alone = cameras == "one"
+    filmed = of_one_camera(clip) if alone else clip
+
+    def made(kind: str) -> Preprocessed:
+        detect = OneCamera(people[TRAIN]) if alone else Detector(people)
+        return run(filmed, body, detect, poses=kind, masks="estimated")
+
+    plain = made("estimated")
+    assert looked == []
+    assert "parts_found" not in plain.metrics
+    detailed = made("estimated_in_detail")
+    assert looked == ([TRAIN] if alone else list(RECORDED))
+    found = {"left_hand": 1.0, "right_hand": 1.0, "face": 3 / FRAMES}
+    assert detailed.metrics["parts_found"] == pytest.approx(found)
+    wrist = SMPL_JOINT_NAMES.index("left_wrist") - 1
+    apart = (detailed.blurred.poses.body_pose - plain.blurred.poses.body_pose)[:, wrist]
+    assert apart.abs().max() > 1e-4
 
 
 def test_given_poses_come_from_no_pose_model(clip: BlurryClip, body: Body):

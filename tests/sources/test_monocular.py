@@ -2,6 +2,7 @@ import json
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -74,6 +75,18 @@ def test_only_an_exposure_that_is_to_be_estimated_is_a_guess(body: Body, video: 
     assert guessed.exposure_std == pytest.approx(math.log(2))
     assert told.exposure_std is None
     assert load(body, video, exposure_s=0.01)[0].exposure_std is None
+
+
+@pytest.mark.parametrize(("fps", "wanted"), [(25, 0.02), (5, 1 / 48)])
+def test_frames_far_apart_had_no_longer_shutter(body: Body, tmp_path: Path, fps, wanted):
+    """Half the time between frames that are taken one by one is no camera's shutter."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for index in range(COUNT):
+        cv2.imwrite(str(folder / f"{index}.png"), picture(index))
+    guessed = load(body, folder, exposure_s="estimated", fps=fps)[0]
+    assert guessed.exposure == pytest.approx(wanted)
+    assert load(body, folder, fps=fps)[0].exposure == pytest.approx(0.5 / fps)
 
 
 def test_a_still_camera_s_focal_length_cannot_be_estimated_and_that_is_said(
