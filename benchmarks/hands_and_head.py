@@ -30,6 +30,7 @@ from deblur_avatar.body_estimation.landmark_track import clean
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
 from deblur_avatar.body_estimation.part_fit import gather_parts
 from deblur_avatar.body_estimation.part_landmarks import detect_parts
+from deblur_avatar.geometry.rotations import matrix_to_axis_angle
 from deblur_avatar.imaging.exposure import encode
 from deblur_avatar.rendering.mesh_rendering import View, render
 from deblur_avatar.sources.studio.backdrop import draw_backdrop, street
@@ -51,7 +52,7 @@ PARTS = {"left hand": "left_wrist", "right hand": "right_wrist", "head": "head"}
 FINGERS = {"left fingers": "left_hand", "right fingers": "right_hand"}
 
 
-def acted(generator: torch.Generator, times: Float[Tensor, " M"]) -> Moves:
+def gesturing(generator: torch.Generator, times: Float[Tensor, " M"]) -> Moves:
     """A motion of which wrists, fingers, neck and head do more than usual."""
     moves = improvise(generator)(times, float(times[-1]))
     pose, orient = moves.body_pose.clone(), moves.global_orient.clone()
@@ -93,19 +94,17 @@ def turns(body: Body, poses: Poses) -> Float[Tensor, "F J 3 3"]:
 
 def degrees_apart(a: Float[Tensor, "F J 3 3"], b: Float[Tensor, "F J 3 3"]) -> Float[Tensor, "F J"]:
     """Angles between rotations."""
-    trace = (a.transpose(-1, -2) @ b).diagonal(dim1=-2, dim2=-1).sum(-1)
-    return torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
+    return torch.rad2deg(matrix_to_axis_angle(a.transpose(-1, -2) @ b).norm(dim=-1))
 
 
 def found_in(person: Landmarks) -> Float[Tensor, "F 3"]:
     """How sure it is, by frame, where each part is."""
-    cleaned = clean(person, 1 / FPS).person
-    rows = cleaned.points[cleaned.found][..., 1]
-    parts = gather_parts([cleaned], float((rows.amax(1) - rows.amin(1)).median()))
-    return torch.zeros(len(person.found), 3) if parts is None else parts.weights[0]
+    count = len(person.found)
+    parts = gather_parts([clean(person, 1 / FPS).person], torch.ones(1, count, 3).bool())
+    return torch.zeros(count, 3) if parts is None else parts.weights[0]
 
 
-def one(body: Body, seed: int, frames: int, shutter: float) -> dict[str, Tensor]:
+def errors_of_person(body: Body, seed: int, frames: int, shutter: float) -> dict[str, Tensor]:
     """Errors of every frame, degrees, by part and by what was fitted; and where it was found."""
     generator = torch.Generator().manual_seed(seed)
     betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
@@ -114,7 +113,7 @@ def one(body: Body, seed: int, frames: int, shutter: float) -> dict[str, Tensor]
     within = (torch.arange(instants) + 0.5) / instants - 0.5
     middles = torch.arange(frames) / FPS
     times = (middles[:, None] + shutter / FPS * within).flatten()
-    moves = acted(generator, times)
+    moves = gesturing(generator, times)
     pictures, mattes = filmed(person, moves, cameras, instants)
     middle = slice(instants // 2, None, instants)
     true = Poses(
@@ -124,7 +123,7 @@ def one(body: Body, seed: int, frames: int, shutter: float) -> dict[str, Tensor]
         transl=moves.transl[middle].float(),
     )
     plain = replace(detect_with_mediapipe(pictures), mattes=mattes)
-    detailed = replace(plain, parts=detect_parts(pictures, plain.points, plain.found))
+    detailed = replace(plain, parts=detect_parts(pictures, plain.points, plain.visibility))
     result = {"found": found_in(detailed)}
     for name, seen in (("whole body", plain), ("in detail", detailed)):
         fitted = fit_body(body, cameras, (0,), [seen], middles).poses
@@ -159,7 +158,12 @@ def main() -> None:
     options = parser.parse_args()
     body = Body.load(options.body)
     rows = {
-        name: summary([one(body, seed, options.frames, shutter) for seed in range(options.people)])
+        name: summary(
+            [
+                errors_of_person(body, seed, options.frames, shutter)
+                for seed in range(options.people)
+            ]
+        )
         for name, shutter in SHUTTERS.items()
     }
     about = {"frames": options.frames, "people": options.people}

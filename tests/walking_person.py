@@ -111,4 +111,5 @@ def parts_perfectly(body: Body, poses: Poses, cameras: Cameras, camera: int) -> 
         hand_found=torch.ones(frames, 2, dtype=torch.bool),
         face=seen[:, GROUPS[2]],
         face_found=torch.ones(frames, dtype=torch.bool),
+        sizes=torch.full((frames,), 80.0),
     )

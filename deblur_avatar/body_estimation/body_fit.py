@@ -29,8 +29,15 @@ from deblur_avatar.body_estimation.monocular_prior import (
     guess_cost,
     standing_cost,
 )
-from deblur_avatar.body_estimation.part_fit import PART_MAP, Parts, gather_parts, part_cost
+from deblur_avatar.body_estimation.part_fit import (
+    PART_LANDMARKS,
+    PART_MAP,
+    Parts,
+    gather_parts,
+    part_cost,
+)
 from deblur_avatar.body_estimation.pose_limits import PoseLimits, pose_limits
+from deblur_avatar.body_estimation.robust_costs import growing, saturating
 from deblur_avatar.body_estimation.silhouettes import (
     Silhouettes,
     distance_outside,
@@ -57,7 +64,6 @@ OFFSET_TRUST = 0.2  # the same of where landmarks are expected on the body (deci
 BEYOND_LIMIT = 0.1  # radians
 KNOT_SECONDS = 1 / 15  # between the knots of the splines that all motion is
 OUTLIER_SHARE = 0.05  # beyond this a view does not take part in triangulation
-SATURATION = 3.0  # standard deviations at which a measurement has half its say
 OUTLINE_WEIGHT = 40.0  # landmarks that one matte counts as
 
 SURFACE_POINTS = 1200  # that outlines are matched to
@@ -65,7 +71,9 @@ COARSE_STEPS = 150  # with few outlines; the error has settled by then on all cl
 FINE_STEPS = 200  # with all of them
 OUTLINED_FRAMES = 64  # of one view that a step compares with their mattes
 MATCH_EVERY = 25  # steps between two searches for outline points' partners
-RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004}
+RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02} | {
+    "offsets": 0.004, "part_offsets": 0.004,
+}  # fmt: skip
 
 
 class BodyFit(NamedTuple):
@@ -203,13 +211,14 @@ def _problem(
         check_agreement(found, confidences, [cameras.names[index] for index in recorded])
     else:
         found = one.found
-    parts = gather_parts(people, extent)
+    carriers = [marks.rows.index(row) for row in PART_LANDMARKS]
+    parts = gather_parts(people, found.inliers[..., carriers])
     orient, transl = first_guess(body, marks, found, basis)
     problem = _Problem(
         body=body,
         surface=sample_evenly(body, SURFACE_POINTS),
         marks=marks,
-        limits=pose_limits(fingers=parts is not None and parts.hands_seen),
+        limits=pose_limits(() if parts is None else parts.hands_seen()),
         Ks=Ks,
         viewmats=viewmats,
         pixels=pixels,
@@ -272,8 +281,7 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         offsets=problem.marks.offsets.clone().requires_grad_(),
         part_offsets=PART_MAP.offsets.clone().requires_grad_(),
     )
-    rates = RATES | {"part_offsets": RATES["offsets"]}
-    groups = [{"params": [value], "lr": rates[name]} for name, value in unknowns._asdict().items()]
+    groups = [{"params": [value], "lr": RATES[name]} for name, value in unknowns._asdict().items()]
     optimiser = torch.optim.Adam(groups)
     steps = COARSE_STEPS + FINE_STEPS
     schedule = fit_rates(optimiser, COARSE_STEPS, FINE_STEPS)
@@ -288,9 +296,9 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
             loss = loss + standing_cost(problem.one, posed.landmarks, problem.interval)
         if problem.parts is not None:
             places = PART_MAP.positions(posed.transforms, posed.rest, unknowns.part_offsets)
-            cameras = problem.Ks, problem.viewmats, problem.extent
-            saturating = step >= COARSE_STEPS
-            loss = loss + part_cost(problem.parts, places, *cameras, saturating=saturating)
+            # From the rest pose every palm looks the wrong way.
+            robust = growing if step < COARSE_STEPS else saturating
+            loss = loss + part_cost(problem.parts, places, problem.Ks, problem.viewmats, robust)
         if step < COARSE_STEPS:
             loss = loss + _landmarks_in_space(problem, posed)
         else:
@@ -309,17 +317,12 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
     return _Unknowns(*[value.detach() for value in unknowns])
 
 
-def _saturating(squared: Tensor) -> Tensor:
-    """Geman and McClure's loss of a squared distance in standard deviations."""
-    return squared / (1 + squared / SATURATION**2)
-
-
 def _landmarks_in_space(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
     found = problem.found
     squared = (posed.landmarks - found.points).square().sum(-1) / LANDMARK_M**2
     trust = (problem.confidences * found.inliers).sum(0)
-    # Grows for ever, unlike the pictures' terms: from the rest pose every hand is an outlier.
-    return (trust * 2 * ((1 + squared).sqrt() - 1)).sum()
+    # Unlike the pictures' terms: from the rest pose every hand is an outlier.
+    return (trust * growing(squared)).sum()
 
 
 def _landmarks_in_pictures(problem: _Problem, posed: _Posed) -> Float[Tensor, ""]:
@@ -329,7 +332,7 @@ def _landmarks_in_pictures(problem: _Problem, posed: _Posed) -> Float[Tensor, ""
         marks, _ = project(posed.landmarks, *camera)
         squared = (marks - problem.pixels[view]).square().sum(-1)
         squared = squared / (LANDMARK_SHARE * problem.extent) ** 2
-        total = total + (problem.confidences[view] * _saturating(squared)).sum()
+        total = total + (problem.confidences[view] * saturating(squared)).sum()
     return total
 
 
@@ -348,7 +351,7 @@ def _outlines(
         partner = partners[view][frames, :, None].expand(-1, -1, 2)
         gap = outlines.outline[view, frames] - surface.gather(1, partner)
         along = (gap * outlines.normals[view, frames]).sum(-1) / sigma
-        both = _saturating(outside.square()).mean(1) + _saturating(along.square()).mean(1)
+        both = saturating(outside.square()).mean(1) + saturating(along.square()).mean(1)
         total = total + OUTLINE_WEIGHT * (both * outlines.shown[view, frames]).sum()
     return total
 

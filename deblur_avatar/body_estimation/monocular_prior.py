@@ -22,6 +22,7 @@ from deblur_avatar.body_estimation.landmark_track import (
 )
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.lifting import lift
+from deblur_avatar.body_estimation.robust_costs import growing, saturating
 from deblur_avatar.body_estimation.triangulation import Triangulated
 
 GUESS_M = 0.12  # standard deviation of a detector's guess of depth
@@ -85,7 +86,7 @@ def guess_cost(
     hips = [marks.rows.index(mark) for mark in HIPS]
     about = landmarks - landmarks[:, hips].mean(1, keepdim=True)
     squared = (about - known.about_hips).square().sum(-1) / GUESS_M**2
-    return (known.sure * 2 * ((1 + squared).sqrt() - 1)).sum()
+    return (known.sure * growing(squared)).sum()
 
 
 def standing_cost(
@@ -93,8 +94,7 @@ def standing_cost(
 ) -> Float[Tensor, ""]:
     """Squared speed in space of feet that stand in the picture."""
     speed = (landmarks[1:] - landmarks[:-1]).norm(dim=-1) / (interval * STANDS_M_S)
-    squared = speed.square()
-    return (known.stands * squared / (1 + squared / 9)).sum()
+    return (known.stands * saturating(speed.square())).sum()
 
 
 def _guess(

@@ -5,26 +5,33 @@ part turns its joint and leaves where the joint is to the landmarks of the whole
 views, Q points of all parts.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.body_estimation.body_landmarks import LandmarkMap
 from deblur_avatar.body_estimation.landmarks import Landmarks
-from deblur_avatar.body_estimation.part_landmarks import FACE_ROWS, WRISTS, PartLandmarks
-from deblur_avatar.geometry.cameras import project
+from deblur_avatar.body_estimation.part_landmarks import (
+    FACE_NOSE,
+    FACE_ROWS,
+    NOSE,
+    WRISTS,
+    PartLandmarks,
+)
+from deblur_avatar.geometry.cameras import camera_centres, project
 
 SPREAD = 0.005  # metres: of points on hands and faces about where they are expected
-SHARE, DEPTH_SHARE = 0.008, 0.024  # standard deviations, of the person's height in the picture
-FINEST = 1.0  # pixels: no detector is surer
-SAME_HAND = 0.05  # of the height: a hand farther from the wrist is another one
-SEEN = 0.35  # visibility of a wrist below which no hand is looked at
-SATURATION = 3.0  # standard deviations at which a point has half its say
+SHARE, DEPTH_SHARE = 0.008, 0.024  # standard deviations, of the person's size in the picture
+FINEST = 1.0  # pixels: the least standard deviation
+SAME_PART = 0.05  # of the size: a hand or a nose farther from the body's own is somebody else's
+VISIBLE = 0.35  # visibility of a wrist or nose below which its part is not believed
+BENDING = 0.05  # share of frames in which a hand must be found for its fingers to bend
 
-# MediaPipe's hand: (landmark, carrier, offset from the wrist in the rest pose, metres).
+# MediaPipe's hand: landmark, and where it is from the wrist in the left hand's rest pose, metres.
 _PALM = (
     (0, (0.0, 0.0, 0.0)),
     (1, (0.040, 0.006, 0.025)),  # thumb's root
@@ -51,52 +58,47 @@ _FACE = (  # `FACE_ROWS` in their order: from the head's joint
     (0.0, -0.035, 0.100),
 )
 HAND_ROWS = tuple(row for row, _ in (*_PALM, *_TIPS))
-
-
+PARTS = ("left_hand", "right_hand", "face")
+PART_LANDMARKS = (*WRISTS, NOSE)  # of the whole body, by which each part is known to be hers
 _HAND = len(HAND_ROWS)
 GROUPS = (slice(0, _HAND), slice(_HAND, 2 * _HAND), slice(2 * _HAND, None))  # hands, face
 
 
 class Parts(NamedTuple):
-    """Points of the body that parts are compared at, and what was seen of them."""
+    """What was seen of hands and face; points in the order of `PART_MAP`."""
 
-    seen: Float[Tensor, "V F Q 3"]  # pixels; depth about the part's middle
+    seen: Float[Tensor, "V F Q 3"]  # pixels; depth from where it may
     weights: Float[Tensor, "V F G"]  # of each part in each frame
-
-    @property
-    def hands_seen(self) -> bool:
-        """Whether any hand was found in any frame."""
-        return bool(self.weights[..., :2].any())
+    sizes: Float[Tensor, "V F"]  # of the person in the picture, pixels
 
     def shares(self) -> dict[str, float]:
         """In how many of the views' frames each part was found."""
         found = (self.weights > 0).float().mean((0, 1)).tolist()
-        return dict(zip(("left_hand", "right_hand", "face"), found, strict=True))
+        return dict(zip(PARTS, found, strict=True))
+
+    def hands_seen(self) -> tuple[str, ...]:
+        """Hands that were found often enough to tell how fingers bend."""
+        return tuple(name for name in PARTS[:2] if self.shares()[name] >= BENDING)
 
 
 def part_map() -> LandmarkMap:
     """Where points of both hands and of the face are expected on a body."""
-    carriers: list[int] = []
-    anchors: list[int] = []
+    joints: list[int] = []
     shared: list[int] = []
-    mirror, offsets = [], []
+    mirror: list[list[float]] = []
     for side, sign in (("left", 1.0), ("right", -1.0)):
         wrist, hand = (SMPL_JOINT_NAMES.index(f"{side}_{name}") for name in ("wrist", "hand"))
-        carriers += [wrist] * len(_PALM) + [hand] * len(_TIPS)
-        anchors += [wrist] * len(_PALM) + [hand] * len(_TIPS)
-        shared += range(len(HAND_ROWS))
-        mirror += [[sign, 1.0, 1.0]] * len(HAND_ROWS)
-    offsets += [offset for _, offset in (*_PALM, *_TIPS)]
-    head = SMPL_JOINT_NAMES.index("head")
-    carriers += [head] * len(FACE_ROWS)
-    anchors += [head] * len(FACE_ROWS)
-    shared += range(len(HAND_ROWS), len(HAND_ROWS) + len(FACE_ROWS))
-    mirror += [[1.0, 1.0, 1.0]] * len(FACE_ROWS)
-    offsets += _FACE
+        joints += [wrist] * len(_PALM) + [hand] * len(_TIPS)
+        shared += range(_HAND)
+        mirror += [[sign, 1.0, 1.0]] * _HAND
+    joints += [SMPL_JOINT_NAMES.index("head")] * len(_FACE)
+    shared += range(_HAND, _HAND + len(_FACE))
+    mirror += [[1.0, 1.0, 1.0]] * len(_FACE)
+    offsets = [*(offset for _, offset in (*_PALM, *_TIPS)), *_FACE]
     return LandmarkMap(
-        rows=tuple(range(len(carriers))),
-        carriers=tuple(carriers),
-        anchors=tuple(anchors),
+        rows=tuple(range(len(joints))),
+        carriers=tuple(joints),
+        anchors=tuple(joints),
         shared=tuple(shared),
         mirror=torch.tensor(mirror),
         offsets=torch.tensor(offsets),
@@ -107,28 +109,36 @@ def part_map() -> LandmarkMap:
 PART_MAP = part_map()
 
 
-def gather_parts(people: list[Landmarks], extent: float) -> Parts | None:
-    """Give every hand that was found to the side it belongs to; None where none was looked for.
+def gather_parts(people: list[Landmarks], agreed: Bool[Tensor, "V F G"]) -> Parts | None:
+    """Give every part that was found to the body's own it belongs to.
 
     Args:
-        people: as the body is fitted to them, their mistakes taken out.
-        extent: the person's height in the picture, pixels.
+        people: as the body is fitted to them.
+        agreed: views and frames whose `PART_LANDMARKS` other views do not gainsay.
+
+    Returns:
+        None where parts were looked for in no view.
     """
     if all(person.parts is None for person in people):
         return None
-    seen, weights = [], []
+    seen, weights, sizes = [], [], []
     for person in people:
         count = len(person.found)
-        places, sure = torch.zeros(count, len(PART_MAP.rows), 3), torch.zeros(count, 3)
+        places, sure = torch.zeros(count, len(PART_MAP.rows), 3), torch.zeros(count, len(GROUPS))
+        size = torch.ones(count)
         if person.parts is not None:
-            for side in (0, 1):
-                hand = _hand_of(person, person.parts, side, extent)
-                places[:, GROUPS[side]], sure[:, side] = hand
-            places[:, GROUPS[2]] = person.parts.face
-            sure[:, 2] = (person.parts.face_found & person.found).float()
+            size = person.parts.sizes
+            for index in range(len(GROUPS)):
+                find = _face_of if index == PARTS.index("face") else _hand_of
+                part, certain = find(person, person.parts, index)
+                near = part.distance < SAME_PART * size
+                visible = person.visibility[:, PART_LANDMARKS[index]] >= VISIBLE
+                places[:, GROUPS[index]] = part.points
+                sure[:, index] = certain * (near & visible & person.found)
         seen.append(places)
         weights.append(sure)
-    return Parts(torch.stack(seen), torch.stack(weights))
+        sizes.append(size)
+    return Parts(torch.stack(seen), torch.stack(weights) * agreed, torch.stack(sizes))
 
 
 def part_cost(
@@ -136,9 +146,7 @@ def part_cost(
     places: Float[Tensor, "F Q 3"],
     Ks: Float[Tensor, "V 3 3"],
     viewmats: Float[Tensor, "V 4 4"],
-    extent: float,
-    *,
-    saturating: bool,
+    robust: Callable[[Tensor], Tensor],
 ) -> Float[Tensor, ""]:
     """Squared distances of points about their part's middle, in standard deviations.
 
@@ -147,44 +155,51 @@ def part_cost(
         places: of the posed body's points, `PART_MAP`'s, metres.
         Ks: of each view.
         viewmats: world to camera.
-        extent: the person's height in the picture, pixels.
-        saturating: whether large distances lose their say; from the rest pose all are large.
+        robust: what a squared distance costs.
     """
-    flat, deep = max(SHARE * extent, FINEST), max(DEPTH_SHARE * extent, FINEST)
-    sigma = places.new_tensor([flat, flat, deep])
     total = places.new_zeros(())
     for view, (K, viewmat) in enumerate(zip(Ks, viewmats, strict=True)):
+        flat, deep = (
+            (share * parts.sizes[view]).clamp(min=FINEST) for share in (SHARE, DEPTH_SHARE)
+        )
+        sigma = torch.stack([flat, flat, deep], dim=-1)[:, None]
         pixels, _ = project(places, K, viewmat)
-        away = (places + viewmat[:3, :3].T @ viewmat[:3, 3]).norm(dim=-1)
+        away = (places - camera_centres(viewmat)).norm(dim=-1)
         for index, rows in enumerate(GROUPS):
-            weight = parts.weights[view, :, index]
             distance = away[:, rows].detach().mean(1, keepdim=True)
             deeper = K[0, 0] * away[:, rows] / distance  # in pixels of where the part is
             mine = torch.cat([pixels[:, rows], deeper[..., None]], dim=-1)
             theirs = parts.seen[view][:, rows]
-            mine = mine - mine.mean(1, keepdim=True)
-            theirs = theirs - theirs.mean(1, keepdim=True)
-            gap = mine - theirs
-            squared = (gap / sigma).square().sum(-1)
-            if saturating:
-                cost = squared / (1 + squared / SATURATION**2)
-            else:
-                cost = 2 * ((1 + squared).sqrt() - 1)
-            total = total + (weight * cost.sum(1)).sum()
+            gap = (mine - mine.mean(1, keepdim=True)) - (theirs - theirs.mean(1, keepdim=True))
+            cost = robust((gap / sigma).square().sum(-1))
+            total = total + (parts.weights[view, :, index] * cost.sum(1)).sum()
     return total
 
 
+class _Found(NamedTuple):
+    """One part in F frames, and how far it is from where the body has it."""
+
+    points: Float[Tensor, "F N 3"]
+    distance: Float[Tensor, " F"]  # pixels
+
+
 def _hand_of(
-    person: Landmarks, parts: PartLandmarks, side: int, extent: float
-) -> tuple[Float[Tensor, "F H 3"], Float[Tensor, " F"]]:
-    """The hand nearest to a wrist that is of its side, and how sure it is."""
-    wrist = person.points[:, WRISTS[side]]
-    believed = person.found & (person.visibility[:, WRISTS[side]] >= SEEN)
+    person: Landmarks, parts: PartLandmarks, side: int
+) -> tuple[_Found, Float[Tensor, " F"]]:
+    """The hand of a side that is nearest to its wrist, and how sure its side is."""
     of_side = parts.left if side == 0 else 1 - parts.left
-    distance = (parts.hands[:, :, 0, :2] - wrist[:, None]).norm(dim=-1)
-    good = parts.hand_found & (of_side > 0.5) & (distance < SAME_HAND * extent)
-    distance = torch.where(good, distance, torch.inf)
-    slot = distance.argmin(1)
-    frames = torch.arange(len(slot))
-    sure = torch.where(good[frames, slot] & believed, of_side[frames, slot], 0.0)
-    return parts.hands[frames, slot][:, list(HAND_ROWS)], sure
+    wrist = person.points[:, None, WRISTS[side]]
+    distance = (parts.hands[:, :, 0, :2] - wrist).norm(dim=-1)
+    distance = torch.where(parts.hand_found & (of_side > 0.5), distance, torch.inf)
+    frames, slot = torch.arange(len(distance)), distance.argmin(1)
+    hand = parts.hands[frames, slot][:, list(HAND_ROWS)]
+    return _Found(hand, distance[frames, slot]), of_side[frames, slot]
+
+
+def _face_of(
+    person: Landmarks, parts: PartLandmarks, index: int
+) -> tuple[_Found, Float[Tensor, " F"]]:
+    """The face, known by its nose."""
+    nose = parts.face[:, FACE_ROWS.index(FACE_NOSE), :2]
+    distance = (nose - person.points[:, PART_LANDMARKS[index]]).norm(dim=-1)
+    return _Found(parts.face, distance), parts.face_found.float()

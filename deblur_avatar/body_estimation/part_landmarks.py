@@ -1,9 +1,10 @@
-"""Hand and face landmarks (MediaPipe), looked for where a person's wrists and head are.
+"""Hand and face landmarks (MediaPipe), looked for where a person's hands and head are.
 
 A whole body's hands are too small for a detector of hands, so each is cut out and enlarged first.
 Where nothing is found, as is usual under blur, nothing is said. F frames.
 """
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,33 +14,40 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import median_filter
 from torch import Tensor
 
 from deblur_avatar import run
 from deblur_avatar.body_estimation.quiet import quiet_stderr
 
-# Rows of MediaPipe's 33 landmarks: wrist and the roots of index and little finger, by side.
-WRISTS, INDEX, LITTLE = (15, 16), (19, 20), (17, 18)
-HEAD = (0, 7, 8)  # nose and ears
-HAND_COUNT = 21  # landmarks of MediaPipe's hand model
-# Of MediaPipe's 468 of a face, those that no expression moves far: tip and root of the nose,
-# the outer corners of the eyes (the person's left first), top of the forehead, the sides before
-# the ears (left first), chin.
-FACE_ROWS = (1, 168, 263, 33, 10, 454, 234, 152)
+logger = logging.getLogger(__name__)
 
-HAND_BOX, FACE_BOX = 0.22, 0.26  # sides of what is cut out, as shares of the person's height
+# Rows of MediaPipe's 33 landmarks, those of sides the left first.
+ELBOWS, WRISTS, INDEX, LITTLE = (13, 14), (15, 16), (19, 20), (17, 18)
+NOSE, EARS = 0, (7, 8)
+HAND_COUNT = 21  # landmarks of MediaPipe's hand model
+# Of MediaPipe's 468 of a face, those that no expression moves far: tip and root of the nose, the
+# outer corners of the eyes (the person's left first), top of the forehead, the sides before the
+# ears (left first), chin.
+FACE_NOSE = 1
+FACE_ROWS = (FACE_NOSE, 168, 263, 33, 10, 454, 234, 152)
+
+HAND_BOX, FACE_BOX = 0.22, 0.26  # sides of what is cut out, as shares of the person's size
 HAND_REACH = 2.8  # sides of a hand's box, in lengths from the wrist to the roots of fingers
+PALM = 0.4  # of the forearm: from the wrist to the roots of fingers, where they are not marked
 BOX_PIXELS = 256  # to which boxes are enlarged
-SMALLEST = 100.0  # pixels of a person's height below which hands have none to tell
+SMALLEST = 100.0  # pixels of a person's size below which hands and face have too few to be found
 SURE = 0.3  # confidence from which MediaPipe says that there is a hand or a face
+STEADY = 25  # frames over which a person's size is one
 
 
 @dataclass(frozen=True)
 class PartLandmarks:
     """Hands and face of one person in F frames of one camera.
 
-    Places are pixels right, down and, relative to the part's own middle, away from the camera.
-    Hands are by where they were looked for, the left wrist first; zero where none was found.
+    Places are pixels right and down, and away from the camera in the same unit, from where it may
+    be. Hands are by the wrist they were looked for at, the left one first; zero where none was
+    found.
     """
 
     hands: Float[Tensor, "F 2 21 3"]
@@ -47,6 +55,7 @@ class PartLandmarks:
     hand_found: Bool[Tensor, "F 2"]
     face: Float[Tensor, "F Q 3"]  # `FACE_ROWS`
     face_found: Bool[Tensor, " F"]
+    sizes: Float[Tensor, " F"]  # of the person in the picture, pixels: her box's longer side
 
 
 class _Box(NamedTuple):
@@ -66,37 +75,44 @@ class _Box(NamedTuple):
 def detect_parts(
     frames: UInt8[Tensor, "F H W 3"],
     points: Float[Tensor, "F L 2"],
-    found: Bool[Tensor, " F"],
+    visibility: Float[Tensor, "F L"],
 ) -> PartLandmarks:
     """Find the hands and the face of a person whose landmarks are known.
 
     Args:
         frames: of one camera.
         points: MediaPipe's 33 landmarks, pixels.
-        found: frames in which there are any.
+        visibility: of them; 0 where the person, or what has no landmark, was not found.
     """
     count = len(frames)
     hands, face = np.zeros((count, 2, HAND_COUNT, 3)), np.zeros((count, len(FACE_ROWS), 3))
     left, hand_found = np.full((count, 2), 0.5), np.zeros((count, 2), bool)
     face_found = np.zeros(count, bool)
-    rows = points[found][..., 1]
-    height = float((rows.amax(1) - rows.amin(1)).median()) if bool(found.any()) else 0.0
-    if height >= SMALLEST:
+    sizes = _sizes(points.numpy(), visibility.numpy() > 0)
+    large = np.flatnonzero(sizes >= SMALLEST)
+    if len(large) < count:
+        logger.info(
+            "hands and face are looked for in %d of %d frames; in the others the person is not "
+            "found, or smaller than %d pixels",
+            len(large),
+            count,
+            SMALLEST,
+        )
+    if len(large):
         with _models() as (hand_model, face_model):
-            for index in run.progress(range(count), "hands and face"):
-                if not found[index]:
-                    continue
+            for index in run.progress(large.tolist(), "hands and face"):
                 frame, marks = frames[index].numpy(), points[index].numpy()
-                boxes = [_hand_box(frame, marks, side, height) for side in (0, 1)]
-                head = _box(frame, marks[list(HEAD)].mean(0), FACE_BOX * height)
+                marked = visibility[index].numpy() > 0
+                boxes = [_hand_box(frame, marks, marked, side, sizes[index]) for side in (0, 1)]
+                head = _head_box(frame, marks, marked, sizes[index])
                 with quiet_stderr():
-                    seen = [_hand(hand_model, box) for box in boxes]
-                    meshes = face_model.process(head.picture).multi_face_landmarks
-                for side, hand in enumerate(seen):
+                    found = [box and _hand(hand_model, box) for box in boxes]
+                    meshes = head and face_model.process(head.picture).multi_face_landmarks
+                for side, hand in enumerate(found):
                     if hand is not None:
                         hands[index, side], left[index, side] = hand
                         hand_found[index, side] = True
-                if meshes:
+                if head and meshes:
                     face[index] = head.in_frame(meshes[0].landmark)[list(FACE_ROWS)]
                     face_found[index] = True
     return PartLandmarks(
@@ -105,7 +121,22 @@ def detect_parts(
         hand_found=torch.from_numpy(hand_found),
         face=torch.from_numpy(face).float(),
         face_found=torch.from_numpy(face_found),
+        sizes=torch.from_numpy(sizes).float(),
     )
+
+
+def _sizes(
+    points: Float[np.ndarray, "F L 2"], marked: Bool[np.ndarray, "F L"]
+) -> Float[np.ndarray, " F"]:
+    """The longer side of a person's box, lying or standing, steady over time; 0: not found."""
+    low = np.where(marked[..., None], points, np.inf).min(1)
+    high = np.where(marked[..., None], points, -np.inf).max(1)
+    found = np.flatnonzero(marked.any(1))
+    sizes = np.zeros(len(points))
+    if len(found):
+        longer = (high[found] - low[found]).max(1)
+        sizes[found] = median_filter(longer, min(STEADY, 2 * len(found) - 1), mode="nearest")
+    return sizes
 
 
 @contextmanager
@@ -121,12 +152,35 @@ def _models() -> Iterator[tuple[Any, Any]]:
 
 
 def _hand_box(
-    frame: UInt8[np.ndarray, "H W 3"], marks: Float[np.ndarray, "L 2"], side: int, height: float
-) -> _Box:
+    frame: UInt8[np.ndarray, "H W 3"],
+    marks: Float[np.ndarray, "L 2"],
+    marked: Bool[np.ndarray, " L"],
+    side: int,
+    size: float,
+) -> _Box | None:
+    """About the roots of the fingers, or where the forearm points to; None without a wrist."""
+    if not marked[WRISTS[side]]:
+        return None
     wrist = marks[WRISTS[side]]
-    roots = (marks[INDEX[side]] + marks[LITTLE[side]]) / 2
+    if marked[[INDEX[side], LITTLE[side]]].all():
+        roots = (marks[INDEX[side]] + marks[LITTLE[side]]) / 2
+    elif marked[ELBOWS[side]]:
+        roots = wrist + PALM * (wrist - marks[ELBOWS[side]])
+    else:
+        roots = wrist
     length = float(np.linalg.norm(roots - wrist))
-    return _box(frame, roots, max(HAND_BOX * height, HAND_REACH * length))
+    return _box(frame, roots, max(HAND_BOX * size, HAND_REACH * length))
+
+
+def _head_box(
+    frame: UInt8[np.ndarray, "H W 3"],
+    marks: Float[np.ndarray, "L 2"],
+    marked: Bool[np.ndarray, " L"],
+    size: float,
+) -> _Box | None:
+    """About what is marked of nose and ears; None if nothing is."""
+    rows = [row for row in (NOSE, *EARS) if marked[row]]
+    return _box(frame, marks[rows].mean(0), FACE_BOX * size) if rows else None
 
 
 def _box(frame: UInt8[np.ndarray, "H W 3"], centre: Float[np.ndarray, " 2"], side: float) -> _Box:

@@ -40,7 +40,7 @@ _LIMITS = (
     _Limit("left_wrist", (-45, 45), (-35, 35), (-75, 75), 20),
     _Limit("left_hand", (-10, 10), (-10, 10), (-10, 10), 5),
 )
-_FINGERS = _Limit("left_hand", (-10, 10), (-10, 10), (-110, 20), 25)  # that were seen to bend
+_SEEN_HAND = _Limit("left_hand", (-10, 10), (-10, 10), (-110, 20), 25)  # its fingers bend, as one
 
 
 class PoseLimits(NamedTuple):
@@ -51,20 +51,18 @@ class PoseLimits(NamedTuple):
     std: Float[Tensor, " K"]
 
 
-def pose_limits(*, fingers: bool = False) -> PoseLimits:
+def pose_limits(seen_hands: tuple[str, ...] = ()) -> PoseLimits:
     """The table above for both sides of the body.
 
     A right joint's rotation is the left one's seen in a mirror: y and z change sign.
 
     Args:
-        fingers: whether hands were seen, so that fingers may bend, as one.
+        seen_hands: `left_hand`, `right_hand`: those whose fingers may bend, being seen.
     """
     limits = {limit.joint: limit for limit in _LIMITS}
-    if fingers:
-        limits[_FINGERS.joint] = _FINGERS
     low, high, std = [], [], []
     for name in SMPL_JOINT_NAMES[1:]:
-        limit = limits[name.replace("right", "left")]
+        limit = _SEEN_HAND if name in seen_hands else limits[name.replace("right", "left")]
         x, y, z = limit.x, limit.y, limit.z
         if name.startswith("right"):
             y, z = (-y[1], -y[0]), (-z[1], -z[0])

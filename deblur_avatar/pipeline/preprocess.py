@@ -238,7 +238,7 @@ def _track(
         return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None, {})
     if params.poses == "estimated_in_detail":
         people = [
-            replace(person, parts=detect_parts(frames, person.points, person.found))
+            replace(person, parts=detect_parts(frames, person.points, person.visibility))
             for frames, person in zip(clip.frames, people, strict=True)
         ]
     fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)

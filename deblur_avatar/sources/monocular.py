@@ -32,9 +32,9 @@ from deblur_avatar.sources.given_poses import read_poses
 from deblur_avatar.sources.keypoint_files import follow_person, read_keypoints
 from deblur_avatar.sources.source import Segment
 
-# Seconds: half of a frame's time at 24 frames a second. Where frames are farther apart, they were
-# thinned out or taken one by one, and no shutter was open the longer for it.
-LONGEST_GUESS = 1 / 48
+# Seconds: a frame's time at 24 frames a second. Where frames are farther apart, they were thinned
+# out or taken one by one, and no shutter was open the longer for it.
+LONGEST_FRAME = 1 / 24
 
 
 class MonocularParams(Params):
@@ -52,8 +52,8 @@ class MonocularParams(Params):
     image_height: Count  # frames are scaled down to this height
     focal: Literal["estimated", "field_of_view"] | Positive  # pixels of the footage as recorded
     field_of_view: Annotated[float, Field(gt=5, lt=150)]  # degrees, longer side; the last resort
-    # Seconds the shutter is open; null: `shutter` says; estimated: `shutter` is a first guess, or a
-    # 48th of a second if that is less.
+    # Seconds the shutter is open; null: `shutter` says; estimated: `shutter` is a first guess, of
+    # an interval of a 24th of a second at most.
     exposure_s: Literal["estimated"] | Positive | None
     shutter: Annotated[float, Field(gt=0, le=1)]  # exposure as a share of the frame interval
     averaging_space: Literal["srgb", "linear"]
@@ -140,7 +140,7 @@ def _exposure(params: MonocularParams, interval: float) -> tuple[float, float | 
     if params.exposure_s is None:
         return params.shutter * interval, None
     if params.exposure_s == "estimated":
-        return min(params.shutter * interval, LONGEST_GUESS), GUESS_STD
+        return params.shutter * min(interval, LONGEST_FRAME), GUESS_STD
     return params.exposure_s, None
 
 

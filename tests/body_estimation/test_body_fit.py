@@ -10,10 +10,10 @@ from deblur_avatar.bodies.posed_body import joint_transforms, posed_joints, pose
 from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
-from deblur_avatar.body_estimation.part_fit import PART_MAP
+from deblur_avatar.body_estimation.part_fit import PART_MAP, SPREAD
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from tests.process_state import by_threads
 from tests.walking_person import (
     FPS,
@@ -84,7 +84,7 @@ def test_a_seen_body_is_recovered(body: Body, truth: Poses, people: list[Landmar
     assert found.residuals.median() < 0.01 * found.extent
 
 
-def cost_of_offsets(body: Body, person: Landmarks, frames: int) -> float:
+def cost_of_offsets(body: Body, person: Landmarks, frames: int, part_away: float = 0.0) -> float:
     """What it costs that landmarks lie 10 cm from where they are expected, in a clip so long."""
     times = torch.arange(frames) / FPS
     problem, transl = body_fit._problem(body, CAMERAS, (0,), [person], times)
@@ -93,7 +93,7 @@ def cost_of_offsets(body: Body, person: Landmarks, frames: int) -> float:
     def cost(away: float) -> float:
         unknowns = body_fit._Unknowns(
             torch.zeros(body.shape_dirs.shape[2]), still, still.repeat(1, len(body.parents) - 1),
-            transl, problem.marks.offsets + away, PART_MAP.offsets,
+            transl, problem.marks.offsets + away, PART_MAP.offsets + part_away * away,
         )  # fmt: skip
         return float(body_fit._priors(problem, unknowns, body_fit._pose(problem, unknowns)))
 
@@ -106,6 +106,9 @@ def test_long_clips_move_landmarks_no_farther_than_short_ones(body: Body, people
     half = Landmarks(person.found[:5], person.points[:5], person.visibility[:5], person.mattes[:5])
     short, whole = (cost_of_offsets(body, *clip) for clip in ((half, 5), (person, FRAMES)))
     assert whole == pytest.approx(2 * short, rel=1e-3)
+    points = 3 * PART_MAP.offsets.shape[0] * FRAMES * (body_fit.OFFSET_TRUST * 0.1) ** 2
+    with_parts = cost_of_offsets(body, person, FRAMES, part_away=1.0)
+    assert with_parts - whole == pytest.approx(points / SPREAD**2, rel=1e-3)
 
 
 def test_the_number_of_threads_changes_no_bit(body: Body, people: list[Landmarks]):
@@ -213,8 +216,8 @@ def turned_off(body: Body, found: Poses, truth: Poses, names: tuple[str, ...]) -
     """Mean angles between two poses' joints in the world, degrees."""
     rows = [SMPL_JOINT_NAMES.index(name) for name in names]
     ours, true = (joint_transforms(body, *motion(p))[:, rows, :3, :3] for p in (found, truth))
-    trace = (ours.transpose(-1, -2) @ true).diagonal(dim1=-2, dim2=-1).sum(-1)
-    return torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1))).mean(0).tolist()
+    apart = matrix_to_axis_angle(ours.transpose(-1, -2) @ true).norm(dim=-1)
+    return torch.rad2deg(apart).mean(0).tolist()
 
 
 @pytest.mark.parametrize("recorded", [(0,), (0, 1)])
@@ -249,3 +252,42 @@ def test_parts_that_were_not_found_change_nothing(body: Body, truth: Poses, peop
     assert asked.parts == {"left_hand": 0.0, "right_hand": 0.0, "face": 0.0}
     for one, two in zip(motion(plain.poses), motion(asked.poses), strict=True):
         assert torch.allclose(one, two, atol=1e-6)
+
+
+def test_fingers_bend_only_on_hands_that_were_seen(body: Body, truth: Poses, people):
+    parts = parts_perfectly(body, truth, CAMERAS, 0)
+    times = torch.arange(FRAMES) / FPS
+
+    def low(**changes) -> list[float]:
+        """How far each hand's fingers may bend, degrees."""
+        seen = dataclasses.replace(people[0], parts=dataclasses.replace(parts, **changes))
+        limits = body_fit._problem(body, CAMERAS, (0,), [seen], times)[0].limits
+        rows = [SMPL_JOINT_NAMES.index(name) - 1 for name in ("left_hand", "right_hand")]
+        reach = torch.maximum(-limits.low[rows, 2], limits.high[rows, 2])
+        return torch.rad2deg(reach).tolist()
+
+    assert low() == pytest.approx([110, 110])
+    found = parts.hand_found.clone()
+    found[:, 1] = False
+    assert low(hand_found=found) == pytest.approx([110, 10])
+    assert low(hand_found=torch.zeros_like(found)) == pytest.approx([10, 10])
+
+
+def test_a_view_that_the_others_gainsay_turns_no_hand(body: Body, truth: Poses, people):
+    """It follows another person, as well seen as she is: her hands' parts are not this body's."""
+    stranger = dataclasses.replace(
+        people[1],
+        points=people[1].points + 25.0,
+        parts=dataclasses.replace(
+            parts_perfectly(body, truth, CAMERAS, 1),
+            hands=parts_perfectly(body, truth, CAMERAS, 1).hands + 25.0,
+        ),
+    )
+    times = torch.arange(FRAMES) / FPS
+    problem = body_fit._problem(body, CAMERAS, ALL, [people[0], stranger, *people[2:]], times)[0]
+    assert problem.parts is not None
+    assert problem.parts.weights.max() == 0
+    asked = dataclasses.replace(people[1], parts=parts_perfectly(body, truth, CAMERAS, 1))
+    agreed = body_fit._problem(body, CAMERAS, ALL, [people[0], asked, *people[2:]], times)[0]
+    assert agreed.parts is not None
+    assert agreed.parts.weights[1].min() > 0.9

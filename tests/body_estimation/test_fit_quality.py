@@ -16,6 +16,7 @@ def perfect_fit(body: Body, residual: float = 0.5) -> BodyFit:
         extent=80.0,
         trust=torch.ones(7),
         flags={},
+        parts={},
     )
 
 

@@ -10,17 +10,18 @@ from deblur_avatar.body_estimation.part_fit import (
     GROUPS,
     HAND_ROWS,
     PART_MAP,
-    SATURATION,
     Parts,
     gather_parts,
     part_cost,
 )
+from deblur_avatar.body_estimation.robust_costs import growing, saturating
 from tests.walking_person import detect_perfectly, parts_perfectly, ring_of_cameras, walking_poses
 
-FRAMES, EXTENT = 3, 80.0  # pixels
+FRAMES, SIZE = 3, 80.0  # pixels
 CAMERAS = ring_of_cameras()
 LENS = CAMERAS.Ks[:1], CAMERAS.viewmats[:1]
 LEFT, RIGHT, FACE = GROUPS
+AGREED = torch.ones(1, FRAMES, len(GROUPS), dtype=torch.bool)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +48,13 @@ def changed(person: Landmarks, **parts) -> Landmarks:
 
 
 def gathered(person: Landmarks) -> Parts:
-    parts = gather_parts([person], EXTENT)
+    parts = gather_parts([person], AGREED)
     assert parts is not None
     return parts
 
 
-def cost(person: Landmarks, places: torch.Tensor, *, saturating: bool = False) -> float:
-    parts = gathered(person)
-    return float(part_cost(parts, places, *LENS, EXTENT, saturating=saturating))
+def cost(person: Landmarks, places: torch.Tensor, robust=growing) -> float:
+    return float(part_cost(gathered(person), places, *LENS, robust))
 
 
 def test_the_right_hand_mirrors_the_left_and_the_face_looks_ahead(body: Body):
@@ -100,40 +100,36 @@ def test_depth_tells_a_palm_from_a_back(person, places):
     assert cost(person, behind) > cost(person, places) + 5
 
 
-def test_the_cost_is_that_of_the_formula(person, places):
-    """One point of the face off by three pixels to the right: its part's middle moves, too."""
-    face = person.parts.face.clone()
-    face[1, 0, 0] += 3.0
-    only = changed(person, face=face, hand_found=torch.zeros_like(person.parts.hand_found))
-    count, sigma = face.shape[1], 1.0  # pixels: 0.4 % of the height is finer than FINEST
-    gaps = torch.full((count,), -3.0 / count)
-    gaps[0] += 3.0
-    squared = (gaps / sigma).square()
-    assert cost(only, places) == pytest.approx(
-        float((2 * ((1 + squared).sqrt() - 1)).sum()), rel=0.05
-    )
-    assert cost(only, places, saturating=True) == pytest.approx(
-        float((squared / (1 + squared / SATURATION**2)).sum()), rel=0.05
-    )
+@pytest.mark.parametrize(("size", "flat", "deep"), [(80.0, 1.0, 1.92), (500.0, 4.0, 12.0)])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_cost_is_that_of_the_formula(person, places, size, flat, deep, axis):
+    """A point of the face off by ten pixels: its part's middle moves, too.
 
-
-def test_far_points_lose_their_say_only_when_asked(person, places):
+    0.8 % of the size in the picture, but not under a pixel, and 2.4 % in depth.
+    """
     face = person.parts.face.clone()
-    face[:, 0, 0] += 1000.0
-    wild = changed(person, face=face)
-    points = FRAMES * face.shape[1]
-    assert cost(wild, places, saturating=True) < points * SATURATION**2 + 1
-    assert cost(wild, places) > FRAMES * 1000
+    face[1, 3, axis] += 10.0
+    only = changed(
+        person,
+        face=face,
+        hand_found=torch.zeros_like(person.parts.hand_found),
+        sizes=torch.full((FRAMES,), size),
+    )
+    gaps = torch.full((face.shape[1],), -10.0 / face.shape[1])
+    gaps[3] += 10.0
+    squared = (gaps / (deep if axis == 2 else flat)).square()
+    for robust in (growing, saturating):
+        assert cost(only, places, robust) == pytest.approx(float(robust(squared).sum()), rel=0.05)
 
 
 def test_gradients_are_those_of_differences(person, places):
     parts = gathered(changed(person, hands=person.parts.hands * 1.02))
     start = places.double().requires_grad_()
     lens = tuple(part.double() for part in LENS)
-    parts = Parts(parts.seen.double(), parts.weights.double())
+    parts = Parts(*(part.double() for part in parts))
 
     def value(at: torch.Tensor) -> torch.Tensor:
-        return part_cost(parts, at, *lens, EXTENT, saturating=True)
+        return part_cost(parts, at, *lens, saturating)
 
     (gradient,) = torch.autograd.grad(value(start), start)
     step = torch.zeros_like(places.double())
@@ -158,30 +154,58 @@ def test_hands_that_cannot_be_hers_are_left_out(person):
     other_side = changed(person, left=1 - parts.left)
     assert gathered(other_side).weights[..., :2].max() == 0
     far = parts.hands.clone()
-    far[0, 0, :, 0] += 0.1 * EXTENT
+    far[0, 0, :, 0] += 0.1 * SIZE
     weights = gathered(changed(person, hands=far)).weights[0]
     assert weights[:, 0].tolist() == pytest.approx([0, 0.98, 0.98])
     assert weights[:, 1].tolist() == pytest.approx([0.98] * 3)
+    larger = changed(person, hands=far, sizes=torch.full((FRAMES,), 2.5 * SIZE))
+    assert gathered(larger).weights[0, 0, 0] == pytest.approx(0.98)
     unseen = person.visibility.clone()
     unseen[1, 16] = 0.1
     weights = gathered(dataclasses.replace(person, visibility=unseen)).weights[0]
     assert weights[:, 1].tolist() == pytest.approx([0.98, 0, 0.98])
 
 
-def test_frames_without_her_have_no_parts(person):
+def test_a_face_that_is_not_where_her_nose_is_is_left_out(person):
+    """A bystander's in the same box, or one that is seen in the back of a head."""
+    face = person.parts.face.clone()
+    face[0, :, 1] += 0.1 * SIZE
+    turned_away = person.visibility.clone()
+    turned_away[2, 0] = 0.1
+    her = dataclasses.replace(changed(person, face=face), visibility=turned_away)
+    assert gathered(her).weights[0, :, 2].tolist() == [0, 1, 0]
+
+
+def test_frames_without_her_and_views_that_are_gainsaid_have_no_parts(person):
     found = torch.tensor([True, False, True])
     weights = gathered(dataclasses.replace(person, found=found)).weights[0]
     assert (weights[1] == 0).all()
     assert (weights[[0, 2]] > 0).all()
+    agreed = AGREED.clone()
+    agreed[0, 2, 1] = False
+    doubted = gather_parts([person], agreed)
+    assert doubted is not None
+    assert (doubted.weights[0] == 0).nonzero().tolist() == [[2, 1]]
 
 
 def test_nothing_is_made_of_parts_that_nobody_looked_for(person):
-    assert gather_parts([dataclasses.replace(person, parts=None)], EXTENT) is None
-    two = gather_parts([dataclasses.replace(person, parts=None), person], EXTENT)
+    assert gather_parts([dataclasses.replace(person, parts=None)], AGREED) is None
+    both = AGREED.expand(2, -1, -1)
+    two = gather_parts([dataclasses.replace(person, parts=None), person], both)
     assert two is not None
     assert two.weights[0].max() == 0
     assert two.shares()["face"] == 0.5
-    assert two.hands_seen
+
+
+def test_hands_are_seen_each_for_itself_and_not_by_a_face(person):
+    assert gathered(person).hands_seen() == ("left_hand", "right_hand")
+    right_alone = person.parts.hand_found.clone()
+    right_alone[:, 0] = False
+    assert gathered(changed(person, hand_found=right_alone)).hands_seen() == ("right_hand",)
+    assert gathered(changed(person, hand_found=right_alone & False)).hands_seen() == ()
+    once = Parts(torch.zeros(1, 100, 30, 3), torch.zeros(1, 100, 3), torch.ones(1, 100))
+    once.weights[0, 7, 0] = 1.0  # one frame of a hundred is a mistake
+    assert once.hands_seen() == ()
 
 
 def test_all_joints_that_carry_parts_are_those_named():

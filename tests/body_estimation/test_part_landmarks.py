@@ -14,18 +14,22 @@ from deblur_avatar.body_estimation.part_landmarks import (
     detect_parts,
 )
 
-WRIST = {0: (150.0, 120.0), 1: (70.5, 130.25)}  # pixels
+ROOTS = {0: (150.0, 120.0), 1: (70.5, 130.25)}  # of the fingers, pixels
+REACH = 6.0  # pixels from them back to the wrist
 HEAD = (110.0, 40.0)
+SIZE = 240.0
 
 
 def person(frames: int = 1) -> torch.Tensor:
-    """Landmarks of a person 240 pixels tall."""
+    """Landmarks of a person 240 pixels tall, hands pointing down."""
     points = torch.zeros(frames, 33, 2)
-    points[:, [0, 7, 8]] = torch.tensor(HEAD)
+    points[:] = torch.tensor(HEAD)
     points[:, [27, 28]] = torch.tensor([110.0, 280.0])
-    points[:, 1:7] = points[:, 9:15] = points[:, 23:27] = points[:, 29:] = torch.tensor(HEAD)
     for side in (0, 1):
-        points[:, [15 + side, 17 + side, 19 + side, 21 + side]] = torch.tensor(WRIST[side])
+        x, y = ROOTS[side]
+        points[:, 13 + side] = torch.tensor([x, y - 40.0])
+        points[:, 15 + side] = torch.tensor([x, y - REACH])
+        points[:, 17 + side], points[:, 19 + side] = torch.tensor([[x - 4, y], [x + 4, y]])
     return points
 
 
@@ -64,7 +68,7 @@ class BrightestSpot:
 def looked(monkeypatch):
     """Detect with models of our own."""
 
-    def detect(frames, points=None, label="Right", found=None):
+    def detect(frames, points=None, label="Right", seen=None):
         hands, face = BrightestSpot(label), BrightestSpot(label)
 
         @contextmanager
@@ -73,8 +77,8 @@ def looked(monkeypatch):
 
         monkeypatch.setattr(part_landmarks, "_models", models)
         points = person(len(frames)) if points is None else points
-        found = torch.ones(len(frames), dtype=torch.bool) if found is None else found
-        return detect_parts(frames, points, found), hands, face
+        seen = torch.ones(len(frames), 33) if seen is None else seen
+        return detect_parts(frames, points, seen), hands, face
 
     return detect
 
@@ -126,17 +130,71 @@ def test_boxes_that_leave_the_frame_are_black_there(looked):
     assert hands.shown[0][:, BOX_PIXELS // 2 + 12 :].max() == 0
 
 
-def test_nobody_and_small_people_are_not_looked_at(looked):
+def middle_of_box(looked, points: torch.Tensor, seen: torch.Tensor | None = None) -> float:
+    """Where a spot at the roots of the left fingers lies in the left hand's box, from its middle.
+
+    As a share of the box, down.
+    """
+    _, hands, _ = looked(spotted((150, 120)), points, seen=seen)
+    rows, _ = np.nonzero(hands.shown[0].sum(-1) > 300)
+    return float((rows.mean() + 0.5) / BOX_PIXELS - 0.5)
+
+
+def test_boxes_lie_about_the_roots_of_the_fingers_and_grow_with_the_hand(looked):
+    points = person()
+    assert middle_of_box(looked, points) == pytest.approx(0.0, abs=0.02)
+    points[:, [15]] -= torch.tensor([0.0, 44.0])  # a hand of 50 pixels: a box of 140
+    _, hands, _ = looked(spotted((150, 120)), points)
+    wide = np.ptp(np.nonzero(hands.shown[0].sum(-1) > 300)[1]) + 1
+    assert wide == pytest.approx(3 * BOX_PIXELS / (2.8 * 50), abs=2)
+
+
+def test_where_fingers_are_not_marked_the_forearm_points_to_them(looked):
+    """COCO's landmarks end at the wrist; those that are not marked are at (0, 0)."""
+    points, seen = person(), torch.ones(1, 33)
+    points[:, 17:23], seen[:, 17:23] = 0.0, 0.0
+    off = (120.5 - (120.0 - REACH + 0.4 * (40.0 - REACH))) / (0.22 * SIZE)
+    assert middle_of_box(looked, points, seen) == pytest.approx(off, abs=0.02)
+    seen[:, 13:15] = 0.0  # no elbow either: about the wrist
+    off = (120.5 - (120.0 - REACH)) / (0.22 * SIZE)
+    assert middle_of_box(looked, points, seen) == pytest.approx(off, abs=0.02)
+
+
+def test_hands_and_heads_that_are_not_marked_are_not_looked_for(looked):
+    points, seen = person(), torch.ones(1, 33)
+    seen[:, [0, 7, 8, 16]] = 0.0
+    points[:, [0, 7, 8, 16]] = 0.0
+    parts, hands, face = looked(spotted((150, 120), (2, 2)), points, seen=seen)
+    assert (len(hands.shown), len(face.shown)) == (1, 0)
+    assert parts.hand_found.tolist() == [[True, False]]
+    seen[:, 7], points[:, 7] = 1.0, torch.tensor(HEAD)  # one ear will do
+    parts, _, face = looked(spotted((110, 40)), points, seen=seen)
+    assert parts.face_found.tolist() == [True]
+
+
+def test_nobody_and_small_people_are_not_looked_at(looked, caplog):
     frames = spotted((150, 120)).expand(2, -1, -1, -1)
-    parts, hands, _ = looked(frames, found=torch.tensor([False, True]))
+    seen = torch.tensor([0.0, 1.0])[:, None].expand(2, 33)
+    with caplog.at_level("INFO"):
+        parts, hands, _ = looked(frames, seen=seen)
     assert parts.hand_found.tolist() == [[False, False], [True, False]]
     assert parts.hands[0].abs().max() == 0
+    assert parts.sizes.tolist() == [0, SIZE]
     assert len(hands.shown) == 2
+    assert "in 1 of 2 frames" in caplog.text
     parts, hands, _ = looked(frames, person(2) * 0.4)
     assert not parts.hand_found.any()
     assert hands.shown == []
-    parts, _, _ = looked(frames, found=torch.zeros(2, dtype=torch.bool))
+    parts, _, _ = looked(frames, seen=torch.zeros(2, 33))
     assert not parts.face_found.any()
+    assert parts.sizes.tolist() == [0, 0]
+
+
+def test_a_person_is_as_large_lying_as_standing_and_one_wild_landmark_does_not_matter(looked):
+    lying = person(9).flip(-1)
+    lying[4, 30, 0] = 5000.0
+    parts, _, _ = looked(spotted((5, 5)).expand(9, -1, -1, -1), lying)
+    assert parts.sizes.tolist() == [SIZE] * 9
 
 
 def test_mediapipe_finds_a_face_and_which_way_it_looks(capfd: pytest.CaptureFixture[str]):
@@ -148,7 +206,7 @@ def test_mediapipe_finds_a_face_and_which_way_it_looks(capfd: pytest.CaptureFixt
     parts = detect_parts(
         torch.cat([portrait, torch.zeros_like(portrait)]),
         points.expand(2, -1, -1),
-        torch.tensor([True, True]),
+        torch.ones(2, 33),
     )
     assert "WARNING" not in capfd.readouterr().err  # its own, of which users can make nothing
     assert parts.face_found.tolist() == [True, False]

@@ -8,8 +8,8 @@ def row(name: str) -> int:
     return SMPL_JOINT_NAMES.index(name) - 1
 
 
-def allowed(name: str, pose: list[float], *, fingers: bool = False) -> bool:
-    limits = pose_limits(fingers=fingers)
+def allowed(name: str, pose: list[float], seen_hands: tuple[str, ...] = ()) -> bool:
+    limits = pose_limits(seen_hands)
     values = torch.deg2rad(torch.tensor(pose))
     inside = (values >= limits.low[row(name)]) & (values <= limits.high[row(name)])
     return bool(inside.all())
@@ -42,5 +42,7 @@ def test_fingers_bend_towards_the_palm_where_hands_were_seen():
     for name, sign in (("left_hand", 1), ("right_hand", -1)):
         fist = [0, 0, -90 * sign]
         assert not allowed(name, fist)
-        assert allowed(name, fist, fingers=True)
-        assert not allowed(name, [0, 0, 60 * sign], fingers=True)  # backwards
+        assert allowed(name, fist, (name,))
+        assert not allowed(name, [0, 0, 60 * sign], (name,))  # backwards
+        other = {"left_hand": "right_hand", "right_hand": "left_hand"}[name]
+        assert not allowed(name, fist, (other,))
