@@ -25,7 +25,6 @@ PLAN: dict[str, Any] = {
         "leaping_17": {"kind": "report", "filmed": "here"},
     },
     "windows": {"leaping": {17: "leaping_17", 33: "leaping"}},
-    "strips": 2,
     "without_pictures": [],
     "parts": {
         "grid": {

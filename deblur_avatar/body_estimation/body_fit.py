@@ -71,8 +71,9 @@ COARSE_STEPS = 150  # with few outlines; the error has settled by then on all cl
 FINE_STEPS = 200  # with all of them
 OUTLINED_FRAMES = 64  # of one view that a step compares with their mattes
 MATCH_EVERY = 25  # steps between two searches for outline points' partners
-RATES = {"betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02} | {
-    "offsets": 0.004, "part_offsets": 0.004,
+RATES = {
+    "betas": 0.2, "turn": 0.05, "body_pose": 0.08, "transl": 0.02, "offsets": 0.004,
+    "part_offsets": 0.004,
 }  # fmt: skip
 
 

@@ -77,7 +77,6 @@ class ProofParams(Params):
     columns: dict[str, ColumnParams]
     scenes: dict[str, ProofSceneParams]
     windows: dict[str, dict[Count, str]]  # scenes that differ in it alone: sub-frames to scene
-    strips: Count  # test views of each scene on the page
     without_pictures: tuple[str, ...]  # scenes of which the page shows none
     parts: dict[str, PartParams]
     run: tuple[str, ...]  # parts that `make proof` runs unless others are asked for

@@ -15,6 +15,7 @@ from deblur_avatar.reporting.picture_strips import strips_of_scene
 from deblur_avatar.reporting.proof_tables import MAIN
 
 SHOWN = ("agnostic", "paper", "clip")  # of each avatar, where it was fitted
+VIEWS = 2  # of the test views of each scene
 
 
 def gather_strips(
@@ -47,7 +48,7 @@ def gather_strips(
             if not there or (before and before.fits.keys() - there.keys()):
                 continue
             quality = {motion: quality_of(fits[motion]) for motion in there}
-            keep_strips(kept / scene / avatar, strips_of_scene(there, plan.strips), quality)
+            keep_strips(kept / scene / avatar, strips_of_scene(there, VIEWS), quality)
             lines.append(f"{scene}, {avatar}: {', '.join(there)}")
     return lines
 
