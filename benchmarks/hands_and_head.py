@@ -26,7 +26,7 @@ from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import joint_transforms
 from deblur_avatar.body_estimation.body_fit import fit_body
-from deblur_avatar.body_estimation.landmark_track import clean
+from deblur_avatar.body_estimation.landmark_track import clean, size_in_pictures
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
 from deblur_avatar.body_estimation.part_fit import gather_parts
 from deblur_avatar.body_estimation.part_landmarks import detect_parts
@@ -101,7 +101,8 @@ def degrees_apart(a: Float[Tensor, "F J 3 3"], b: Float[Tensor, "F J 3 3"]) -> F
 def found_in(person: Landmarks) -> Float[Tensor, "F 3"]:
     """How sure it is, by frame, where each part is."""
     count = len(person.found)
-    parts = gather_parts([clean(person, 1 / FPS).person], torch.ones(1, count, 3).bool())
+    size = size_in_pictures([person], any_pose=True)
+    parts = gather_parts([clean(person, 1 / FPS, size).person], torch.ones(1, count, 3).bool())
     return torch.zeros(count, 3) if parts is None else parts.weights[0]
 
 
@@ -127,7 +128,8 @@ def errors_of_person(body: Body, seed: int, frames: int, shutter: float) -> dict
     detailed = replace(plain, parts=detect_parts(pictures, plain.points, plain.visibility))
     result = {"found": found_in(detailed)}
     for name, seen in (("whole body", plain), ("in detail", detailed)):
-        fitted = fit_body(body, cameras, (0,), [seen], middles).poses
+        in_detail = seen is detailed
+        fitted = fit_body(body, cameras, (0,), [seen], middles, any_pose=in_detail).poses
         result[name] = degrees_apart(turns(body, fitted), turns(body, true))
     return result
 

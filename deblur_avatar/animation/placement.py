@@ -23,6 +23,8 @@ from deblur_avatar.geometry.cameras import (
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 NEAR_AXIS = math.radians(30)  # a person leans less than that on average
+LIES = math.radians(40)  # sideways in the picture, on average: more, and she does not stand
+IN_PICTURE = 0.5  # as little of the way from feet to head is seen from above
 
 
 def stage_rotation(
@@ -32,13 +34,17 @@ def stage_rotation(
 
     Up is the axis of the world that is nearest to the mean direction of the person's own up, since
     calibrations mostly have an axis along gravity and people lean; where none is within
-    `NEAR_AXIS` it is that mean direction.
+    `NEAR_AXIS` it is that mean direction. Who lies sideways in the picture does not tell: there the
+    picture's up stands in for her own, since people hold cameras level.
 
     Raises:
         ValueError: if the camera looks straight down on the person or up at it.
     """
     up = axis_angle_to_matrix(filmed.global_orient)[..., 1].mean(0)
     up = torch.nn.functional.normalize(up, dim=0)
+    sideways, down, _ = (viewmat[:3, :3] @ up).tolist()
+    if math.hypot(sideways, down) > IN_PICTURE and abs(math.atan2(sideways, -down)) > LIES:
+        up = -viewmat[1, :3]
     axis = torch.zeros_like(up)
     axis[up.abs().argmax()] = up[up.abs().argmax()].sign()
     up = axis if up @ axis > math.cos(NEAR_AXIS) else up

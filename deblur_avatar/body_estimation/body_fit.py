@@ -22,6 +22,7 @@ from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.body_estimation.body_landmarks import LandmarkMap, landmark_map
 from deblur_avatar.body_estimation.first_guess import first_guess, spline_basis
 from deblur_avatar.body_estimation.fit_rates import fit_rates
+from deblur_avatar.body_estimation.landmark_track import size_in_pictures
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.monocular_prior import (
     OneView,
@@ -53,7 +54,7 @@ from deblur_avatar.geometry.skinning import forward_kinematics, skin_points
 
 logger = logging.getLogger(__name__)
 
-# Standard deviations. Those in shares are of the person's height in the picture.
+# Standard deviations. Those in shares are of the person's size in the picture.
 LANDMARK_M = 0.03
 LANDMARK_SHARE = 0.015
 OUTLINE_SHARE = 0.01
@@ -82,7 +83,7 @@ class BodyFit(NamedTuple):
 
     poses: Poses
     residuals: Float[Tensor, "V F L"]  # pixels, of used landmarks; 0 where not seen
-    extent: float  # the person's median height in the pictures, pixels
+    extent: float  # the person's median size in the pictures, pixels
     trust: Float[Tensor, " F"]  # in [0, 1], how far a frame's pose rests on what was seen
     flags: dict[str, int]  # landmarks found wrong, by kind; of one view alone
     parts: dict[str, float]  # share of the views' frames with each hand and the face, if asked for
@@ -130,7 +131,8 @@ class _Problem:
     orient: Float[Tensor, "F 3 3"]  # first guess
     basis: Float[Tensor, "F D"]  # frames from control values
     interval: float  # seconds between frames
-    extent: float
+    extent: float  # the person's size in the pictures, pixels
+    any_pose: bool
 
 
 @run.one_thread()
@@ -140,6 +142,8 @@ def fit_body(
     recorded: tuple[int, ...],
     people: list[Landmarks],
     timestamps: Float[Tensor, " F"],
+    *,
+    any_pose: bool = False,
 ) -> BodyFit:
     """Fit a body to what detectors found in several cameras' frames.
 
@@ -149,6 +153,7 @@ def fit_body(
         recorded: the camera of each entry of `people`.
         people: landmarks and mattes in the pixels of those cameras.
         timestamps: of the frames, seconds.
+        any_pose: the person may sit and lie (decision 65), not only stand and walk.
 
     Raises:
         ArtifactError: if no frame shows a person, or no two of several cameras agree on her.
@@ -157,7 +162,7 @@ def fit_body(
         raise ArtifactError("poses can be estimated only for bodies with SMPL's 24 joints")
     if not any(bool(person.found.any()) for person in people):
         raise ArtifactError("no person found in any frame; check the videos")
-    problem, transl = _problem(body, cameras, recorded, people, timestamps)
+    problem, transl = _problem(body, cameras, recorded, people, timestamps, any_pose)
     unknowns = _solve(problem, transl)
     posed = _pose(problem, unknowns)
     poses = Poses(
@@ -190,17 +195,19 @@ def _problem(
     recorded: tuple[int, ...],
     people: list[Landmarks],
     timestamps: Float[Tensor, " F"],
+    any_pose: bool,
 ) -> tuple[_Problem, Float[Tensor, "D 3"]]:
     """What is known before the body is fitted, and a first guess of the root's control points."""
     marks = landmark_map()
     rows, views = list(marks.rows), list(recorded)
     interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
     basis = spline_basis(timestamps, interval, KNOT_SECONDS)
-    extent, one = _extent(people), None
+    extent, one = size_in_pictures(people, any_pose=any_pose), None
     if len(recorded) == 1:
         person, one = apply_monocular_prior(
-            body, marks, people[0], cameras, recorded[0], basis, extent, interval
-        )
+            body, marks, people[0], cameras, recorded[0], basis, extent, interval,
+            any_pose=any_pose,
+        )  # fmt: skip
         people = [person]
     pixels = torch.stack([person.points[:, rows] for person in people])
     confidences = torch.stack(
@@ -232,16 +239,9 @@ def _problem(
         basis=basis,
         interval=interval,
         extent=extent,
+        any_pose=any_pose,
     )
     return problem, transl
-
-
-def _extent(people: list[Landmarks]) -> float:
-    heights = [
-        person.points[person.found][..., 1].amax(1) - person.points[person.found][..., 1].amin(1)
-        for person in people
-    ]
-    return float(torch.cat(heights).median())
 
 
 def _pose(problem: _Problem, unknowns: _Unknowns) -> _Posed:
@@ -371,7 +371,9 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     limits, marks = problem.limits, problem.marks
     pose = posed.body_pose
     beyond = (limits.low - pose).clamp(min=0) + (pose - limits.high).clamp(min=0)
-    relaxed = pose / limits.std[:, None]
+    relaxed = (pose / limits.std[:, None]).square()
+    if problem.any_pose:  # who sits or lies has joints far from rest, and should not pay for it
+        relaxed = growing(relaxed)
     away = (unknowns.offsets - marks.offsets) / marks.stds[:, None]
     part_away = (unknowns.part_offsets - PART_MAP.offsets) / PART_MAP.stds[:, None]
     step = problem.interval**2
@@ -381,8 +383,9 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
     # What is one for the clip is weighed against as many measurements as there are frames.
     shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
     offsets = len(pose) ** 0.5 * OFFSET_TRUST * torch.cat([away, part_away])
-    squares = [shape, offsets, relaxed, beyond / BEYOND_LIMIT, acceleration, angular]
-    return torch.stack([term.square().sum() for term in squares]).sum()
+    squares = [term.square() for term in (shape, offsets)] + [relaxed]
+    squares += [term.square() for term in (beyond / BEYOND_LIMIT, acceleration, angular)]
+    return torch.stack([square.sum() for square in squares]).sum()
 
 
 def _second_difference(values: Float[Tensor, "F D 3"]) -> Float[Tensor, "G D 3"]:

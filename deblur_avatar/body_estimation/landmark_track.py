@@ -4,9 +4,10 @@ Three mistakes are looked for: left and right exchanged for some frames (arms an
 jumps to a wrong place and back, and losses, where a landmark is hardly seen. Exchanged ones are
 put right. Jumps and losses are flagged, filled in from their neighbours for what needs a value in
 every frame, and given little or no confidence. F frames, L MediaPipe's 33 landmarks; lengths in
-shares of the person's height in the picture, speeds in heights a second.
+shares of the person's size in the picture, speeds in sizes a second.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,8 +22,8 @@ MIRRORED = (0, 4, 5, 6, 1, 2, 3, *(mark + (1 if mark % 2 else -1) for mark in ra
 ARMS, LEGS = tuple(range(11, 23)), tuple(range(23, 33))
 LOST = 0.35  # visibility below which a landmark counts as lost
 SWAP_COST = 0.02  # a frame: exchanging sides must win more than this in smoothness
-FAST = 3.5  # heights a second: faster, and a detection is suspect
-JUMP_COST = 0.15  # what leaving out one detection costs, in excess heights
+FAST = 3.5  # sizes a second: faster, and a detection is suspect
+JUMP_COST = 0.15  # what leaving out one detection costs, in excess sizes
 GAP = 10  # frames a landmark may be gone before its track starts anew
 
 
@@ -46,15 +47,28 @@ class CleanTrack:
     flags: Flags
 
 
-def clean(person: Landmarks, interval: float) -> CleanTrack:
+def size_in_pictures(people: Sequence[Landmarks], *, any_pose: bool) -> float:
+    """A person's median size over all frames of all views, pixels; 1 where nobody was found.
+
+    Args:
+        people: one person, view by view.
+        any_pose: she may lie: the longer side of the box around her landmarks, not its height.
+    """
+    seen = [person.points[person.found] for person in people]
+    sides = torch.cat([points.amax(1) - points.amin(1) for points in seen])
+    sizes = sides.amax(1) if any_pose else sides[:, 1]
+    return float(sizes.median().clamp(min=1.0)) if len(sizes) else 1.0
+
+
+def clean(person: Landmarks, interval: float, size: float) -> CleanTrack:
     """Put right and flag the landmarks of a clip.
 
     Args:
         person: as detected, no smoothing over time.
         interval: seconds between frames.
+        size: of the person in the picture, pixels.
     """
-    height = _height(person)
-    points = person.points.numpy().astype(np.float64) / height
+    points = person.points.numpy().astype(np.float64) / size
     visibility = person.visibility.numpy() * person.found.numpy()[:, None]
     swapped = np.zeros(visibility.shape, bool)
     for group in (ARMS, LEGS):
@@ -75,7 +89,7 @@ def clean(person: Landmarks, interval: float) -> CleanTrack:
         ).float()
     cleaned = replace(
         person,
-        points=torch.from_numpy(filled * height).float(),
+        points=torch.from_numpy(filled * size).float(),
         visibility=torch.from_numpy(np.where(jumped, 0.0, visibility)).float(),
         world=world,
     )
@@ -87,11 +101,6 @@ def trust(flags: Flags, rows: tuple[int, ...]) -> Float[Tensor, " F"]:
     """Share of the landmarks in use that nothing was wrong with, by frame."""
     bad = flags.jumped | flags.lost
     return 1 - bad[:, list(rows)].float().mean(1)
-
-
-def _height(person: Landmarks) -> float:
-    rows = person.points[person.found][..., 1]
-    return float((rows.amax(1) - rows.amin(1)).median().clamp(min=1.0)) if len(rows) else 1.0
 
 
 def _exchanged(

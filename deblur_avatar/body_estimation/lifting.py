@@ -13,7 +13,7 @@ from torch import Tensor
 from deblur_avatar.body_estimation.triangulation import Triangulated
 
 DEPTH_ACCELERATION = 3.0  # m/s^2: how fast a person's distance as a whole changes its speed
-PIXEL_SHARE = 0.03  # of the person's height in the picture: errors of what is lifted
+PIXEL_SHARE = 0.03  # of the person's size in the picture: errors of what is lifted
 ROUNDS = 3  # of reweighting
 TALLEST = 3.0  # metres; what stands out further is no person's
 
@@ -27,6 +27,8 @@ def lift(
     basis: Float[Tensor, "F D"],
     extent: float,
     interval: float,
+    *,
+    any_pose: bool,
 ) -> Triangulated:
     """Find the smooth way of the hips that puts a detector's guess over the picture.
 
@@ -40,8 +42,10 @@ def lift(
         K: intrinsics.
         viewmat: world to camera.
         basis: frames from control values.
-        extent: the person's height in the picture, pixels.
+        extent: the person's size in the picture, pixels.
         interval: seconds between frames.
+        any_pose: the person may lie, of which detectors guess the shape worse than the picture: of
+            the guess only depth is kept, and points lie on the rays to where they are seen.
 
     Returns:
         Points in the world; found where they were seen.
@@ -54,7 +58,7 @@ def lift(
     right = (pixels - c) * guess[..., 2:] - f * guess[..., :2]
     weights = confidences.double()
     # A residual of these equations is pixels times metres of depth.
-    depth = _typical_depth(guess, confidences, f, extent)
+    depth = _typical_depth(guess, confidences, f, extent, any_pose)
     sigma = PIXEL_SHARE * extent * depth
     way = torch.zeros(len(pixels), 3).double()
     for _ in range(ROUNDS):
@@ -62,6 +66,9 @@ def lift(
         errors = ((rows @ way[:, None, :, None])[..., 0] - right).norm(dim=-1)
         weights = confidences.double() / (1 + (errors / sigma).square())
     points = guess + way[:, None]
+    if any_pose:
+        z = points[..., 2:]
+        points = torch.cat([(pixels - c) / f * z, z], dim=-1)
     inverse = torch.linalg.inv(viewmat.double())
     world = points @ inverse[:3, :3].T + inverse[:3, 3]
     seen = _usable(confidences, around_hips)
@@ -85,10 +92,12 @@ def _typical_depth(
     confidences: Float[Tensor, "F L"],
     f: Float[Tensor, " 2"],
     extent: float,
+    any_pose: bool,
 ) -> float:
-    shown = (confidences > 0).any(1)
-    heights = guess[shown][..., 1].amax(1) - guess[shown][..., 1].amin(1)
-    return float(f[1] * heights.median() / extent)
+    shown = guess[(confidences > 0).any(1)][..., :2]
+    sides = shown.amax(1) - shown.amin(1)
+    sizes = sides.amax(1) if any_pose else sides[:, 1]
+    return float(f[1] * sizes.median() / extent)
 
 
 def _smooth_way(

@@ -56,18 +56,23 @@ def apply_monocular_prior(
     basis: Float[Tensor, "F D"],
     extent: float,
     interval: float,
+    *,
+    any_pose: bool,
 ) -> tuple[Landmarks, OneView]:
-    """Clear a person's landmarks of mistakes and lift them into space.
+    """Clear a person's landmarks of mistakes and lift them into space (`lift`'s `any_pose`).
 
     Returns:
         The person with mistakes put right or at no confidence, and what else is known.
     """
-    track: CleanTrack = clean(person, interval)
+    track: CleanTrack = clean(person, interval, extent)
     person, rows = track.person, list(marks.rows)
     K, viewmat = cameras.Ks[camera], cameras.viewmats[camera]
     guess, believed = _guess(body, marks, person)
     confidences = person.visibility[:, rows]
-    found = lift(person.points[:, rows], confidences, guess, K, viewmat, basis, extent, interval)
+    found = lift(
+        person.points[:, rows], confidences, guess, K, viewmat, basis, extent, interval,
+        any_pose=any_pose,
+    )  # fmt: skip
     known = OneView(
         found=found,
         about_hips=guess @ viewmat[:3, :3],  # from the camera's axes to the world's

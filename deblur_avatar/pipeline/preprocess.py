@@ -51,15 +51,14 @@ from deblur_avatar.imaging.straightening import straightened
 class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
-    # estimated_in_detail: by the landmarks of hands and face too (docs/decisions/0064)
+    # estimated_in_detail: by hands and face too, in any pose (docs/decisions/0064 and 0065)
     poses: Literal["given", "estimated", "estimated_in_detail"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
     background: BackgroundKind  # how it is known what is behind the person
-    depth: Literal[
-        "known", "unknown"
-    ]  # known: the poses come from several views, say, and tell how
-    # far joints are from the camera better than the training camera can
+    # known: the poses come from several views, say, and tell how far joints are from the camera
+    # better than the training camera can
+    depth: Literal["known", "unknown"]
     pose_std_degrees: Positive  # how far the poses may be off: root mean square of a joint's angle
     margin: NonNegative  # of the crop, as a share of the person's box
     validation_stride: Annotated[int, Field(ge=2)]  # every n-th frame is set aside
@@ -236,14 +235,15 @@ def _track(
     """The poses that came with the clip, or a body fitted to what detectors found."""
     if params.poses == "given":
         return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None, {})
-    if params.poses == "estimated_in_detail":
+    in_detail = params.poses == "estimated_in_detail"
+    if in_detail:
         people = [
             replace(person, parts=detect_parts(frames, person.points, person.visibility))
             for frames, person in zip(clip.frames, people, strict=True)
         ]
-    fitted = fit_body(body, clip.cameras, clip.recorded, people, clip.timestamps)
-    stacks = [person.mattes for person in people]
-    fit = measure_fit(fitted, body, clip.cameras, clip.recorded, stacks)
+    cameras, recorded = clip.cameras, clip.recorded
+    fitted = fit_body(body, cameras, recorded, people, clip.timestamps, any_pose=in_detail)
+    fit = measure_fit(fitted, body, cameras, recorded, [person.mattes for person in people])
     trusted = shown.float() * fitted.trust
     if people[0].model == "full":
         logger.warning(

@@ -82,6 +82,30 @@ def test_in_a_world_without_a_vertical_axis_up_is_where_the_head_was(filmed):
     torch.testing.assert_close(rotation[:, 1], up, atol=0.02, rtol=0)
 
 
+@pytest.mark.parametrize("degrees", [-90, -55, 50, 80])
+def test_who_lies_sideways_in_the_picture_lies_on_the_stage(filmed, degrees):
+    towards = VIEW[2, :3]
+    lying = leaned(filmed, (math.radians(degrees) * towards).tolist())
+    rotation = stage_rotation(lying, PERSON, VIEW)
+    torch.testing.assert_close(rotation[:, 1], torch.tensor([0.0, 0.0, 1.0]))
+    tilted = axis_angle_to_matrix(torch.tensor([0.7, 0.0, 0.0]))  # no axis of this world is upright
+    view = VIEW.clone()
+    view[:3, :3] = VIEW[:3, :3] @ tilted.T
+    view[:3, 3] = VIEW[:3, 3]
+    lying = leaned(lying, [0.7, 0.0, 0.0])
+    person = tilted @ PERSON
+    up = stage_rotation(lying, person, view)[:, 1]
+    torch.testing.assert_close(up, -view[1, :3], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("degrees", [-35, 35])
+def test_who_is_filmed_from_a_slanting_camera_still_stands(filmed, degrees):
+    rolled = axis_angle_to_matrix(torch.tensor([0.0, 0.0, math.radians(degrees)]))
+    view = VIEW.clone()
+    view[:3] = rolled @ VIEW[:3]
+    assert stage_rotation(filmed, PERSON, view)[2, 1] > 0.999
+
+
 @pytest.mark.parametrize("heading", [0.0, 1.0, 3.0, -2.0])
 def test_whoever_looks_anywhere_starts_upright_facing_the_camera(body, filmed, heading):
     poses = place(standing(heading=heading), body, filmed, VIEW, turns=0.0, travel=0.0)

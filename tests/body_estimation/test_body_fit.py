@@ -13,6 +13,7 @@ from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.part_fit import PART_MAP, SPREAD
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from tests.process_state import by_threads
 from tests.walking_person import (
@@ -48,8 +49,15 @@ def people(body: Body, truth: Poses) -> list[Landmarks]:
     return [detect_perfectly(body, truth, CAMERAS, camera) for camera in ALL]
 
 
-def fit(body: Body, people: list[Landmarks], recorded: tuple[int, ...] = ALL) -> BodyFit:
-    return fit_body(body, CAMERAS, recorded, people, torch.arange(FRAMES) / FPS)
+def fit(
+    body: Body,
+    people: list[Landmarks],
+    recorded: tuple[int, ...] = ALL,
+    *,
+    any_pose: bool = False,
+) -> BodyFit:
+    times = torch.arange(FRAMES) / FPS
+    return fit_body(body, CAMERAS, recorded, people, times, any_pose=any_pose)
 
 
 def motion(poses: Poses) -> tuple[torch.Tensor, ...]:
@@ -87,7 +95,7 @@ def test_a_seen_body_is_recovered(body: Body, truth: Poses, people: list[Landmar
 def cost_of_offsets(body: Body, person: Landmarks, frames: int, part_away: float = 0.0) -> float:
     """What it costs that landmarks lie 10 cm from where they are expected, in a clip so long."""
     times = torch.arange(frames) / FPS
-    problem, transl = body_fit._problem(body, CAMERAS, (0,), [person], times)
+    problem, transl = body_fit._problem(body, CAMERAS, (0,), [person], times, False)
     still = torch.zeros(len(transl), 3)
 
     def cost(away: float) -> float:
@@ -261,7 +269,7 @@ def test_fingers_bend_only_on_hands_that_were_seen(body: Body, truth: Poses, peo
     def low(**changes) -> list[float]:
         """How far each hand's fingers may bend, degrees."""
         seen = dataclasses.replace(people[0], parts=dataclasses.replace(parts, **changes))
-        limits = body_fit._problem(body, CAMERAS, (0,), [seen], times)[0].limits
+        limits = body_fit._problem(body, CAMERAS, (0,), [seen], times, True)[0].limits
         rows = [SMPL_JOINT_NAMES.index(name) - 1 for name in ("left_hand", "right_hand")]
         reach = torch.maximum(-limits.low[rows, 2], limits.high[rows, 2])
         return torch.rad2deg(reach).tolist()
@@ -284,10 +292,78 @@ def test_a_view_that_the_others_gainsay_turns_no_hand(body: Body, truth: Poses, 
         ),
     )
     times = torch.arange(FRAMES) / FPS
-    problem = body_fit._problem(body, CAMERAS, ALL, [people[0], stranger, *people[2:]], times)[0]
+    strangers = [people[0], stranger, *people[2:]]
+    problem = body_fit._problem(body, CAMERAS, ALL, strangers, times, True)[0]
     assert problem.parts is not None
     assert problem.parts.weights.max() == 0
     asked = dataclasses.replace(people[1], parts=parts_perfectly(body, truth, CAMERAS, 1))
-    agreed = body_fit._problem(body, CAMERAS, ALL, [people[0], asked, *people[2:]], times)[0]
+    same = [people[0], asked, *people[2:]]
+    agreed = body_fit._problem(body, CAMERAS, ALL, same, times, True)[0]
     assert agreed.parts is not None
     assert agreed.parts.weights[1].min() > 0.9
+
+
+def sitting_up(body: Body) -> Poses:
+    """On her back, legs bent, raising the trunk; the camera sees her from the side."""
+    poses, swing = walking_poses(body, FRAMES), torch.linspace(0, 1, FRAMES)
+    pose = torch.zeros_like(poses.body_pose)
+    for joint, degrees in (("hip", -70 - 50 * swing), ("knee", 100 + 0 * swing)):
+        for side in ("left", "right"):
+            pose[:, SMPL_JOINT_NAMES.index(f"{side}_{joint}") - 1, 0] = torch.deg2rad(degrees)
+    lean, turned = torch.zeros(FRAMES, 3), torch.zeros(FRAMES, 3)
+    lean[:, 0], turned[:, 1] = torch.deg2rad(-80 + 40 * swing), math.pi / 2
+    orient = axis_angle_to_matrix(turned) @ axis_angle_to_matrix(lean)
+    return dataclasses.replace(
+        poses, body_pose=pose, global_orient=matrix_to_axis_angle(orient),
+        transl=torch.zeros(FRAMES, 3),
+    )  # fmt: skip
+
+
+def test_who_lies_with_bent_legs_that_are_hardly_believed_is_found_in_any_pose(body: Body):
+    truth = sitting_up(body)
+    seen = detect_perfectly(body, truth, CAMERAS, 0)
+    assert seen.world is not None
+    times = torch.arange(FRAMES) / FPS
+    problems = [
+        body_fit._problem(body, CAMERAS, (0,), [seen], times, any_pose)[0]
+        for any_pose in (False, True)
+    ]
+    assert problems[1].extent > 1.1 * problems[0].extent
+    visibility, legs = seen.visibility.clone(), slice(25, 33)
+    visibility[:, legs] *= 0.4  # as detectors have it of people on the floor
+    world = seen.world * torch.tensor([0.75, 1.25, 1.0])  # and their shape in space
+    doubted = dataclasses.replace(seen, visibility=visibility, world=world)
+    usual, lying = (
+        joint_errors(
+            posed_joints(body, *motion(fit(body, [doubted], (0,), any_pose=any_pose).poses)),
+            posed_joints(body, *motion(truth)),
+        )["registered_mm"]
+        for any_pose in (False, True)
+    )
+    assert lying < 0.8 * usual, (usual, lying)
+
+
+def test_bent_joints_cost_less_in_any_pose_and_those_near_rest_the_same(
+    body: Body, people: list[Landmarks]
+):
+    times = torch.arange(FRAMES) / FPS
+
+    def cost(degrees: float, any_pose: bool) -> float:
+        problem, transl = body_fit._problem(body, CAMERAS, (0,), people[:1], times, any_pose)
+        still, pose = (
+            torch.zeros(len(transl), 3),
+            torch.zeros(len(transl), len(body.parents) - 1, 3),
+        )
+        pose[:, SMPL_JOINT_NAMES.index("left_knee") - 1, 0] = math.radians(degrees)
+        unknowns = body_fit._Unknowns(
+            torch.zeros(body.shape_dirs.shape[2]), still, pose.flatten(1), transl,
+            problem.marks.offsets, PART_MAP.offsets,
+        )  # fmt: skip
+        return float(body_fit._priors(problem, unknowns, body_fit._pose(problem, unknowns)))
+
+    near, far = (
+        [cost(degrees, any_pose) - cost(0.0, any_pose) for any_pose in (False, True)]
+        for degrees in (5.0, 120.0)
+    )
+    assert near[1] == pytest.approx(near[0], rel=0.02, abs=1e-3)
+    assert far[1] < 0.6 * far[0]

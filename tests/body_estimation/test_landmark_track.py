@@ -7,7 +7,9 @@ from deblur_avatar.body_estimation.landmark_track import (
     ARMS,
     LEGS,
     MIRRORED,
+    CleanTrack,
     clean,
+    size_in_pictures,
     trust,
 )
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
@@ -33,6 +35,10 @@ def walker() -> Landmarks:
     )
 
 
+def cleaned(person: Landmarks) -> CleanTrack:
+    return clean(person, INTERVAL, size_in_pictures([person], any_pose=False))
+
+
 def changed(person: Landmarks, frames, marks, points) -> Landmarks:
     moved = person.points.clone()
     moved[frames, marks] = points
@@ -40,7 +46,7 @@ def changed(person: Landmarks, frames, marks, points) -> Landmarks:
 
 
 def test_what_is_right_stays_as_it_is(walker: Landmarks):
-    track = clean(walker, INTERVAL)
+    track = cleaned(walker)
     assert track.flags.counts() == {"swapped": 0, "jumped": 0, "lost": 0}
     torch.testing.assert_close(track.person.points, walker.points, rtol=0, atol=1e-3)
     assert torch.equal(track.person.visibility, walker.visibility)
@@ -53,7 +59,7 @@ def test_exchanged_sides_are_put_right(walker: Landmarks, group: tuple[int, ...]
     mirrored = [MIRRORED[mark] for mark in marks]
     points[frames, marks] = walker.points[frames, mirrored]
     world[frames, marks] = walker.world[frames, mirrored]
-    track = clean(dataclasses.replace(walker, points=points, world=world), INTERVAL)
+    track = cleaned(dataclasses.replace(walker, points=points, world=world))
     assert track.flags.swapped.any(1).nonzero().flatten().tolist() == [8, 9, 10, 11]
     assert track.flags.counts()["jumped"] == 0
     torch.testing.assert_close(track.person.points, walker.points, rtol=0, atol=1e-3)
@@ -62,7 +68,7 @@ def test_exchanged_sides_are_put_right(walker: Landmarks, group: tuple[int, ...]
 
 def test_a_jump_there_and_back_is_flagged_and_bridged(walker: Landmarks):
     away = walker.points[9, 15] + torch.tensor([250.0, -200])
-    track = clean(changed(walker, 9, 15, away), INTERVAL)
+    track = cleaned(changed(walker, 9, 15, away))
     assert track.flags.jumped.nonzero().tolist() == [[9, 15]]
     assert track.person.visibility[9, 15] == 0
     assert (track.person.points[9, 15] - walker.points[9, 15]).norm() < 5
@@ -70,7 +76,7 @@ def test_a_jump_there_and_back_is_flagged_and_bridged(walker: Landmarks):
 
 def test_two_wrong_frames_in_a_row_are_flagged(walker: Landmarks):
     away = walker.points[9:11, 16] + torch.tensor([-300.0, 0])
-    track = clean(changed(walker, slice(9, 11), 16, away), INTERVAL)
+    track = cleaned(changed(walker, slice(9, 11), 16, away))
     assert track.flags.jumped.nonzero().tolist() == [[9, 16], [10, 16]]
 
 
@@ -78,7 +84,7 @@ def test_a_real_kick_is_no_jump(walker: Landmarks):
     points = walker.points.clone()
     kick = torch.tensor([0, 40, 110, 190, 260, 300, 310, 300, 260, 190, 110, 40, 0.0])
     points[4:17, 28, 1] -= kick
-    track = clean(dataclasses.replace(walker, points=points), INTERVAL)
+    track = cleaned(dataclasses.replace(walker, points=points))
     assert track.flags.counts()["jumped"] == 0
 
 
@@ -86,7 +92,7 @@ def test_what_is_hardly_seen_is_lost_and_filled_in(walker: Landmarks):
     visibility = walker.visibility.clone()
     visibility[5:8, 27] = 0.1
     noisy = changed(walker, slice(5, 8), 27, torch.tensor([0.0, 0.0]))
-    track = clean(dataclasses.replace(noisy, visibility=visibility), INTERVAL)
+    track = cleaned(dataclasses.replace(noisy, visibility=visibility))
     assert track.flags.lost.nonzero().tolist() == [[5, 27], [6, 27], [7, 27]]
     assert (track.person.points[5:8, 27] - walker.points[5:8, 27]).norm(dim=-1).max() < 12
     assert trust(track.flags, (26, 27)).tolist() == [1.0] * 5 + [0.5] * 3 + [1.0] * 12
@@ -97,7 +103,7 @@ def test_frames_without_a_person_are_lost(walker: Landmarks):
     found[3] = False
     points = walker.points.clone()
     points[3] = 0
-    track = clean(dataclasses.replace(walker, found=found, points=points), INTERVAL)
+    track = cleaned(dataclasses.replace(walker, found=found, points=points))
     assert track.flags.lost[3].all()
     assert (track.person.points[3] - walker.points[3]).norm(dim=-1).max() < 8
 
@@ -106,4 +112,23 @@ def test_a_clip_without_anyone_is_no_error(walker: Landmarks):
     nobody = dataclasses.replace(
         walker, found=torch.zeros(FRAMES, dtype=torch.bool), points=0 * walker.points
     )
-    assert clean(nobody, INTERVAL).flags.lost.all()
+    assert cleaned(nobody).flags.lost.all()
+
+
+def test_who_lies_is_as_large_as_who_stands(walker: Landmarks):
+    lying = dataclasses.replace(walker, points=walker.points.flip(-1))
+    heights = [size_in_pictures([person], any_pose=False) for person in (walker, lying)]
+    sizes = [size_in_pictures([person], any_pose=True) for person in (walker, lying)]
+    assert heights[0] == sizes[0] == sizes[1] > 4 * heights[1] > 0
+    both = size_in_pictures([walker, lying, lying], any_pose=False)
+    assert both == pytest.approx(heights[1], rel=0.05)
+    nobody = dataclasses.replace(walker, found=torch.zeros(FRAMES, dtype=torch.bool))
+    assert size_in_pictures([nobody], any_pose=True) == 1.0
+
+
+def test_fast_is_by_the_size_that_is_given(walker: Landmarks):
+    """Who lies moves no faster for being short: what is a jump of a height is none of a length."""
+    away = walker.points[9, 15] + torch.tensor([250.0, -200])
+    moved = changed(walker, 9, 15, away)
+    assert clean(moved, INTERVAL, 600.0).flags.jumped.any()
+    assert not clean(moved, INTERVAL, 3000.0).flags.jumped.any()

@@ -12,6 +12,7 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
 from deblur_avatar.body_estimation import body_fit
+from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
 from deblur_avatar.errors import ArtifactError
@@ -370,7 +371,14 @@ def test_hands_and_face_are_looked_for_where_asked(
         parts = parts_perfectly(body, poses, CAMERAS, camera)
         return dataclasses.replace(parts, face_found=torch.arange(FRAMES) < 3)
 
+    fitted, poses_asked = fit_body, []
+
+    def fitting(*given: object, any_pose: bool, **named: object) -> BodyFit:
+        poses_asked.append(any_pose)
+        return fitted(*given, any_pose=any_pose, **named)
+
     monkeypatch.setattr("deblur_avatar.pipeline.preprocess.detect_parts", looking)
+    monkeypatch.setattr("deblur_avatar.pipeline.preprocess.fit_body", fitting)
     alone = cameras == "one"
     filmed = of_one_camera(clip) if alone else clip
 
@@ -383,6 +391,7 @@ def test_hands_and_face_are_looked_for_where_asked(
     assert "parts_found" not in plain.metrics
     detailed = made("estimated_in_detail")
     assert looked == ([TRAIN] if alone else list(RECORDED))
+    assert poses_asked == [False, True]
     found = {"left_hand": 1.0, "right_hand": 1.0, "face": 3 / FRAMES}
     assert detailed.metrics["parts_found"] == pytest.approx(found)
     wrist = SMPL_JOINT_NAMES.index("left_wrist") - 1

