@@ -28,16 +28,16 @@ PLAN: dict[str, Any] = {
     "without_pictures": [],
     "parts": {
         "grid": {
-            "scenes": ["leaping", "leaping_17"], "schedules": ["x1"], "seeds": [0],
+            "scenes": ["leaping", "leaping_17"], "schedules": ["x1"], "seeds": 1,
             "cells": {"networks": ["agnostic", "paper", "oracle"],
                       "plain": ["agnostic", "clip", "oracle"]},
         },
         "seeds": {
-            "scenes": ["leaping"], "schedules": ["x1"], "seeds": [0, 1],
+            "scenes": ["leaping"], "schedules": ["x1"], "seeds": 2,
             "cells": {"plain": ["agnostic", "clip", "oracle"]},
         },
         "converged": {
-            "scenes": ["studio"], "schedules": ["x1", "x2"], "seeds": [0],
+            "scenes": ["studio"], "schedules": ["x1", "x2"], "seeds": 1,
             "cells": {"plain": ["agnostic", "clip"]},
         },
     },

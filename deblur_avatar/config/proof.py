@@ -55,7 +55,7 @@ class PartParams(Params):
 
     scenes: tuple[str, ...]
     schedules: tuple[str, ...]
-    seeds: tuple[int, ...]
+    seeds: Count  # how many, from 0
     cells: dict[str, tuple[str, ...]]  # columns by avatar
 
 
@@ -181,7 +181,7 @@ def cells_of(plan: ProofParams, parts: Sequence[str] | None = None) -> dict[str,
 
 def _cells_of_part(part: PartParams) -> Iterator[Cell]:
     for scene in part.scenes:
-        for seed in part.seeds:
+        for seed in range(part.seeds):
             for schedule in part.schedules:
                 for avatar, columns in part.cells.items():
                     for motion in columns:

@@ -55,13 +55,13 @@ def test_a_cell_that_two_parts_ask_for_is_there_once():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"parts": {"a": {"scenes": ["moon"], "schedules": [], "seeds": [], "cells": {}}}},
+        ({"parts": {"a": {"scenes": ["moon"], "schedules": [], "seeds": 1, "cells": {}}}},
          "proof.parts.a: no 'moon' among the scenes"),
-        ({"parts": {"a": {"scenes": [], "schedules": ["x9"], "seeds": [], "cells": {}}}},
+        ({"parts": {"a": {"scenes": [], "schedules": ["x9"], "seeds": 1, "cells": {}}}},
          "proof.parts.a: no 'x9' among the schedules"),
-        ({"parts": {"a": {"scenes": [], "schedules": [], "seeds": [], "cells": {"clay": []}}}},
+        ({"parts": {"a": {"scenes": [], "schedules": [], "seeds": 1, "cells": {"clay": []}}}},
          "proof.parts.a: no 'clay' among the avatars"),
-        ({"parts": {"a": {"scenes": [], "schedules": [], "seeds": [],
+        ({"parts": {"a": {"scenes": [], "schedules": [], "seeds": 1,
                           "cells": {"plain": ["mad"]}}}, "run": ["a"]},
          "proof.parts.a: no 'mad' among the columns"),
         ({"columns": {"guess": PLAN["columns"]["paper"]}}, "no table has a column 'guess'"),
@@ -116,7 +116,7 @@ def test_a_scene_runs_over_its_own_cells_and_their_warm_ups():
 def test_frames_are_deblurred_where_a_cell_sees_them_and_the_scene_is_filmed_here():
     assert items_of_scene(small_plan(), "leaping")["deblurred"] == []
     columns = PLAN["columns"] | {"deblurred": {"observations": "deblurred", "method": "agnostic"}}
-    first = {"schedules": ["x1"], "seeds": [0], "cells": {"plain": ["deblurred"]}}
+    first = {"schedules": ["x1"], "seeds": 1, "cells": {"plain": ["deblurred"]}}
     parts = {"first": first | {"scenes": ["leaping", "studio"]}}
     plan = small_plan(columns=columns, parts=parts, run=["first"])
     items = items_of_scene(plan, "leaping")
