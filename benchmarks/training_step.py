@@ -74,6 +74,7 @@ FPS = 60.0
 EXPOSURE = 4 / FPS  # seconds
 STEPS = 34
 TERMS = ("pictures", "regularisers", "priors")
+CPU = torch.device("cpu")
 
 
 def observations(size: int) -> Observations:
@@ -128,7 +129,11 @@ def observations(size: int) -> Observations:
 
 
 def begin(
-    name: str, seen: Observations, schedule: ScheduleParams, precision: Precision | None = None
+    name: str,
+    seen: Observations,
+    schedule: ScheduleParams,
+    precision: Precision | None = None,
+    device: torch.device = CPU,
 ) -> tuple[AvatarFit, Step]:
     """A fit of one method in its last stage, where all its parts take part, and its step.
 
@@ -141,14 +146,18 @@ def begin(
     method = load_params(PARAMETERS, f"methods.{name}", MethodParams)
     generator = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
-    model = AVATARS[recipe.model.kind].create(
-        recipe.model,
-        seen.body,
-        seen.poses.betas,
-        FRAMES,
-        schedule.gaussians,
-        seen.averaging_space,
-        generator,
+    model = (
+        AVATARS[recipe.model.kind]
+        .create(
+            recipe.model,
+            seen.body,
+            seen.poses.betas.to(device),
+            FRAMES,
+            schedule.gaussians,
+            seen.averaging_space,
+            generator,
+        )
+        .to(device)
     )
     assert isinstance(model, SplatAvatar)
     with torch.no_grad():
@@ -158,8 +167,8 @@ def begin(
         in_precision = fusion.network.model_copy(update={"precision": precision})
         fusion = fusion.model_copy(update={"network": in_precision})
     network = new_network(fusion, model, FRAMES)
+    network = None if network is None else network.to(device)
     trajectory = new_trajectory(seen, method.trajectory.motion, generator)
-    device = torch.device("cpu")
     params = FitParams(
         recipe=recipe, motion=method.trajectory.motion, schedule=schedule,
         fusion=network_params(fusion),
@@ -266,7 +275,7 @@ def measure(methods: Iterable[str]) -> dict[str, Any]:
     naive_full = naive(begin("paper", seen, schedule, "float32")[0])
     took, full, naively, fully = milliseconds([shared, shared_full, naive_step, naive_full])
     measured["naive"] = {
-        **as_computed(fit.avatar.precision, torch.device("cpu")),
+        **as_computed(fit.avatar.precision, CPU),
         "ms": round(took, 2),
         "float32_ms": round(full, 2),
         "naive_ms": round(naively, 2),

@@ -1,7 +1,7 @@
 """k-nearest-neighbour smoothness: a term of the objective that Gaussians take after neighbours.
 
-Float32 tensors on the CPU go through a native kernel, which finds the gradient along with the term:
-in plain torch this is many short calls over gathered rows.
+Float32 tensors go through a native kernel, one for the CPU and one for a GPU, which finds the
+gradient along with the term: in plain torch this is many short calls over gathered rows.
 """
 
 import ctypes
@@ -18,9 +18,11 @@ from deblur_avatar.rendering.native_build import (
     library_or_none,
     pointers,
 )
+from deblur_avatar.rendering.native_calls import cuda_library_or_none, launch, place_of
 from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("knn_smoothness.cpp")
+CUDA_KERNEL: Final = Path(__file__).with_name("knn_smoothness.cu")
 
 _NO_SUCH_NEIGHBOUR = 1  # what the kernel says is wrong
 
@@ -35,17 +37,20 @@ def knn_smoothness(
 
     Raises:
         ValueError: the sizes do not fit.
-        IndexError: there is no such neighbour; the twin, in torch's words, raises RuntimeError.
+        IndexError: there is no such neighbour; the twin, in torch's words, raises RuntimeError, and
+            on a GPU, which is not waited for, the loss is not a number.
     """
     if len(neighbours) != len(values):
         raise ValueError(
             "values must be [N, D] and neighbours [N, K], got "
             f"{[*values.shape]} and {[*neighbours.shape]}"
         )
-    native = values.device.type == "cpu" and values.dtype == torch.float32
-    whole = neighbours.device.type == "cpu" and neighbours.dtype == torch.int64
-    if native and whole and _library() is not None:
+    whole = neighbours.device == values.device and neighbours.dtype == torch.int64
+    place = place_of(values) if whole else None
+    if place == "cpu" and _library() is not None:
         return _Smoothness.apply(values, neighbours)
+    if place == "cuda" and _cuda_library() is not None:
+        return _SmoothnessOnGpu.apply(values, neighbours)
     return knn_smoothness_reference(values, neighbours)
 
 
@@ -75,6 +80,21 @@ class _Smoothness(NativeTerm):
         return loss
 
 
+class _SmoothnessOnGpu(NativeTerm):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, neighbours: Tensor) -> Tensor:
+        inputs = values.contiguous(), neighbours.contiguous()
+        grad, loss = torch.empty_like(inputs[0]), values.new_empty(())
+        total = values.new_zeros((), dtype=torch.float64)
+        counts = torch.zeros_like(inputs[0], dtype=torch.int32)
+        library = _cuda_library()
+        assert library is not None
+        sizes = *values.shape, neighbours.shape[1]
+        launch(library, "knn_smoothness", sizes, *inputs, total, counts, loss, grad)
+        ctx.save_for_backward(grad)
+        return loss
+
+
 @cache
 def _library() -> ctypes.CDLL | None:
     library = library_or_none(KERNEL, "Smoothness is found")
@@ -84,3 +104,8 @@ def _library() -> ctypes.CDLL | None:
     library.knn_smoothness.argtypes = [*sizes, *[ctypes.c_void_p] * 4]
     library.knn_smoothness.restype = ctypes.c_int
     return library
+
+
+@cache
+def _cuda_library() -> ctypes.CDLL | None:
+    return cuda_library_or_none(CUDA_KERNEL, "Smoothness is found")

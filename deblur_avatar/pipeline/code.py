@@ -18,6 +18,7 @@ modules are looked for where the package is installed. Names, and so fingerprint
 import ast
 import hashlib
 import json
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -239,7 +240,7 @@ def _neighbours(path: Path, root: Path) -> Iterator[Path]:
     elif path.suffix in CPP:
         for name in re.findall(r'^\s*#\s*include\s*"([^"]+)"', path.read_text(), re.MULTILINE):
             if (path.parent / name).is_file():
-                yield (path.parent / name).resolve()
+                yield Path(os.path.normpath(path.parent / name))  # below the root, as that is given
 
 
 def _starts(root: Path) -> list[Path]:

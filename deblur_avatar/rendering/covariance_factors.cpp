@@ -2,10 +2,10 @@
 //
 // For every Gaussian, with t = (1, turn) where there are turns, q = t quat (Hamilton's product):
 //   factor = R(q) diag(scales), R(q) the rotation of q / |q|.
-// Each Gaussian is on its own: results do not depend on the number of threads. Sums of covariance_factors,
+// Each Gaussian is on its own, on a CPU or a GPU: results do not depend on the number of threads. Sums of covariance_factors,
 // and of the gradients of quats and scales without turns, are not contracted and are in torch's order.
 
-#include <cstdint>
+#include "each.h"
 
 namespace {
 
@@ -16,19 +16,19 @@ struct Quat {
 };
 
 // First `b`, then `a`.
-inline Quat product(const Quat &a, const Quat &b) {
+FORMULA Quat product(const Quat &a, const Quat &b) {
     return {a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
             a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
             a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
             a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w};
 }
 
-inline float squared_length(const Quat &q) {
+FORMULA float squared_length(const Quat &q) {
     return q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z + TINY;
 }
 
 // |q|^2 times the rotation's matrix.
-inline void matrix(const Quat &q, float *m) {
+FORMULA void matrix(const Quat &q, float *m) {
     const float ww = q.w * q.w, xx = q.x * q.x, yy = q.y * q.y, zz = q.z * q.z;
     const float wx = q.w * q.x, wy = q.w * q.y, wz = q.w * q.z;
     const float xy = q.x * q.y, xz = q.x * q.z, yz = q.y * q.z;
@@ -37,7 +37,7 @@ inline void matrix(const Quat &q, float *m) {
     m[6] = 2 * xz - 2 * wy, m[7] = 2 * wx + 2 * yz, m[8] = ww - xx - yy + zz;
 }
 
-inline Quat turned(const float *quat, const float *turn) {
+FORMULA Quat turned(const float *quat, const float *turn) {
     const Quat q{quat[0], quat[1], quat[2], quat[3]};
     return turn ? product({1, turn[0], turn[1], turn[2]}, q) : q;
 }
@@ -47,23 +47,21 @@ inline Quat turned(const float *quat, const float *turn) {
 extern "C" {
 
 // quats [N, 4], scales [N, 3], turns [N, 3] or null; covariance_factors [N, 9].
-void factors(int64_t gaussians, int threads, const float *quats, const float *scales,
+void factors(int64_t gaussians, Place place, const float *quats, const float *scales,
             const float *turns, float *covariance_factors) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-    for (int64_t n = 0; n < gaussians; ++n) {
+    each(gaussians, place, DO(int64_t n) {
         const Quat q = turned(quats + 4 * n, turns ? turns + 3 * n : nullptr);
         const float squared = squared_length(q), *s = scales + 3 * n;
         float m[9], *out = covariance_factors + 9 * n;
         matrix(q, m);
         for (int k = 0; k < 9; ++k) out[k] = m[k] / squared * s[k % 3];
-    }
+    });
 }
 
-void factors_backward(int64_t gaussians, int threads, const float *quats, const float *scales,
+void factors_backward(int64_t gaussians, Place place, const float *quats, const float *scales,
                      const float *turns, const float *covariance_factors_grad, float *quats_grad,
                      float *scales_grad, float *turns_grad) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-    for (int64_t n = 0; n < gaussians; ++n) {
+    each(gaussians, place, DO(int64_t n) {
         const Quat q = turned(quats + 4 * n, turns ? turns + 3 * n : nullptr);
         const float squared = squared_length(q), *s = scales + 3 * n, *g = covariance_factors_grad + 9 * n;
         float m[9], d[9], t[9];
@@ -97,7 +95,7 @@ void factors_backward(int64_t gaussians, int threads, const float *quats, const 
         float *out = quats_grad + 4 * n;
         if (!turns) {
             out[0] = of_quat.w, out[1] = of_quat.x, out[2] = of_quat.y, out[3] = of_quat.z;
-            continue;
+            return;
         }
         // The product is linear in both; multiplying by a conjugate is the transpose.
         const float *u = turns + 3 * n, *p = quats + 4 * n;
@@ -106,32 +104,30 @@ void factors_backward(int64_t gaussians, int threads, const float *quats, const 
         out[0] = before.w, out[1] = before.x, out[2] = before.y, out[3] = before.z;
         float *of_turn = turns_grad + 3 * n;
         of_turn[0] = turn.x, of_turn[1] = turn.y, of_turn[2] = turn.z;
-    }
+    });
 }
 
 // covariance_factors [N, 9]; covars [N, 6]: xx, xy, xz, yy, yz, zz of factor factor^T.
-void covariances(int64_t gaussians, int threads, const float *covariance_factors, float *covars) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-    for (int64_t n = 0; n < gaussians; ++n) {
+void covariances(int64_t gaussians, Place place, const float *covariance_factors, float *covars) {
+    each(gaussians, place, DO(int64_t n) {
         const float *a = covariance_factors + 9 * n;
         float *c = covars + 6 * n;
         for (int i = 0; i < 3; ++i)
             for (int k = i; k < 3; ++k)
                 *c++ = a[3 * i] * a[3 * k] + a[3 * i + 1] * a[3 * k + 1] +
                        a[3 * i + 2] * a[3 * k + 2];
-    }
+    });
 }
 
-void covariances_backward(int64_t gaussians, int threads, const float *covariance_factors,
+void covariances_backward(int64_t gaussians, Place place, const float *covariance_factors,
                           const float *covars_grad, float *covariance_factors_grad) {
-#pragma omp parallel for num_threads(threads) schedule(static)
-    for (int64_t n = 0; n < gaussians; ++n) {
+    each(gaussians, place, DO(int64_t n) {
         const float *a = covariance_factors + 9 * n, *c = covars_grad + 6 * n;
         const float g[9] = {2 * c[0], c[1], c[2], c[1], 2 * c[3], c[4], c[2], c[4], 2 * c[5]};
         float *out = covariance_factors_grad + 9 * n;
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k)
                 out[3 * i + k] = g[3 * i] * a[k] + g[3 * i + 1] * a[3 + k] + g[3 * i + 2] * a[6 + k];
-    }
+    });
 }
 }

@@ -4,8 +4,8 @@ Conventions. A *factor* is a Gaussian's rotation times its scales, metres; its c
 factor^T, its upper triangle xx, xy, xz, yy, yz, zz. Quaternions need not be of unit length. A
 *turn* is the imaginary part of a rotation whose real part is 1, done after the Gaussian's own.
 
-Float32 tensors on the CPU go through a native kernel: in plain torch a dozen calls over short rows
-take as long as the rasterization of one instant.
+Float32 tensors go through a native kernel, on the CPU and on a GPU: in plain torch a dozen calls
+over short rows take as long as the rasterization of one instant.
 """
 
 import ctypes
@@ -24,6 +24,7 @@ from deblur_avatar.rendering.native_build import (
     library_or_none,
     pointers,
 )
+from deblur_avatar.rendering.native_calls import cuda_library_or_none, launch, place_of
 from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("covariance_factors.cpp")
@@ -112,12 +113,19 @@ class _Covariances(torch.autograd.Function):
 
 
 def _native(*values: Tensor) -> bool:
-    fit = all(v.device.type == "cpu" and v.dtype == torch.float32 for v in values)
-    return fit and _library() is not None
+    place = place_of(*values)
+    if place == "cuda":
+        return _cuda_library() is not None
+    return place == "cpu" and _library() is not None
 
 
 def _call(name: str, count: int, *tensors: Tensor | None) -> None:
-    getattr(_library(), name)(count, kernel_threads(), *pointers(*tensors))
+    if place_of(*(tensor for tensor in tensors if tensor is not None)) == "cuda":
+        library = _cuda_library()
+        assert library is not None
+        launch(library, name, [count], *tensors)
+    else:
+        getattr(_library(), name)(count, kernel_threads(), *pointers(*tensors))
 
 
 @cache
@@ -131,3 +139,8 @@ def _library() -> ctypes.CDLL | None:
         function.argtypes = [ctypes.c_int64, ctypes.c_int, *[ctypes.c_void_p] * count]
         function.restype = None
     return library
+
+
+@cache
+def _cuda_library() -> ctypes.CDLL | None:
+    return cuda_library_or_none(KERNEL, "Gaussians are turned")

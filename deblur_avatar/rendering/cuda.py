@@ -1,16 +1,18 @@
 """GPU rasterizer, by way of gsplat: the one module that knows it.
 
 gsplat 1.5.3 has the leading batch dimension that one call for B poses needs. Its conventions are
-those of `conventions.py`; the differences met here are of form. It reads only the upper triangle of
-a covariance and returns the gradient there; it composites colours over black, so that the
-background is added behind; and where `radii` is 0 its other numbers are uninitialised memory.
+those of `conventions.py`; the differences met here are of form. It composites colours over black,
+so that the background is added behind; and where `radii` is 0 its other numbers are uninitialised
+memory.
 
 Its gradients of the camera mix the poses of a batch (each warp adds up by camera alone), which is
 one reason why no backend offers them.
 """
 
+import math
 import weakref
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Final
 
 import torch
 from jaxtyping import Float
@@ -18,12 +20,11 @@ from torch import Tensor
 
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.rendering.conventions import NEAR_PLANE
-from deblur_avatar.rendering.covariances import upper_triangles, whole_matrices
+from deblur_avatar.rendering.covariances import upper_triangles
 from deblur_avatar.rendering.inputs import refuse_not_finite
 from deblur_avatar.rendering.result import Rasterization, ScreenStatistics
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+TILE: Final = 16  # pixels: gsplat's own, for which its kernels are made
 
 
 def rasterize(
@@ -54,38 +55,57 @@ def rasterize(
     B, N, C = len(means), means.shape[1], colors.shape[1]
     if covars.shape[-1] == 3:
         covars = upper_triangles(0.5 * (covars + covars.mT))  # the gradient becomes symmetric
-    covars = whole_matrices(covars).expand(B, N, 3, 3)
-    pictures, alpha, info = _gsplat_rasterization()(
-        means,
-        None,
-        None,
-        opacities.expand(B, N),
-        colors.expand(B, N, C),
-        viewmat.expand(B, 1, 4, 4),
-        K.expand(B, 1, 3, 3),
-        width,
-        height,
-        covars=covars,
-        near_plane=NEAR_PLANE,
-        eps2d=eps2d,
-        packed=False,
-        absgrad=True,
-        render_mode="RGB+D" if depth else "RGB",
+    pictures, alpha, means2d, radii = _drawn(
+        means, covars.expand(B, N, 6), opacities, colors, viewmat, K, width, height, depth, eps2d
     )
-    pictures, alpha = pictures[:, 0], alpha[:, 0, ..., 0]
     if average:
         pictures, alpha = pictures.mean(0, keepdim=True), alpha.mean(0, keepdim=True)
     image = pictures[..., :C]
     if background is not None:
         image = image + (1 - alpha)[..., None] * background
-    radii = info["radii"][:, 0].amax(-1)
     return Rasterization(
         image=image,
         alpha=alpha,
         depth=pictures[..., C] if depth else None,
         radii=radii,
-        screen=_watch(info["means2d"], radii),
+        screen=_watch(means2d, radii),
     )
+
+
+def _drawn(
+    means: Float[Tensor, "B N 3"],
+    covars: Float[Tensor, "B N 6"],
+    opacities: Float[Tensor, " N"],
+    colors: Float[Tensor, "N C"],
+    viewmat: Float[Tensor, "4 4"],
+    K: Float[Tensor, "3 3"],
+    width: int,
+    height: int,
+    depth: bool,
+    eps2d: float,
+) -> tuple[Tensor, Float[Tensor, "B H W"], Float[Tensor, "B 1 N 2"], Tensor]:
+    """Pictures, over black and with depth as their last channel; coverage, centres and radii.
+
+    By the steps of gsplat's `rasterization`, which itself takes whole covariance matrices apart by
+    an index whose gradient is sorted.
+    """
+    gsplat, B, N = _gsplat(), len(means), means.shape[1]
+    radii, means2d, depths, conics, _ = gsplat.fully_fused_projection(
+        means, covars, None, None, viewmat.expand(B, 1, 4, 4), K.expand(B, 1, 3, 3), width, height,
+        eps2d=eps2d, near_plane=NEAR_PLANE,
+        opacities=opacities.expand(B, N),  # for tighter bounds
+    )  # fmt: skip
+    shown = colors.expand(B, 1, N, colors.shape[1])
+    if depth:
+        shown = torch.cat([shown, depths[..., None]], dim=-1)
+    tiles = [math.ceil(side / TILE) for side in (width, height)]
+    _, isect_ids, flatten_ids = gsplat.isect_tiles(means2d, radii, depths, TILE, *tiles)
+    offsets = gsplat.isect_offset_encode(isect_ids, B, *tiles).view(B, 1, *reversed(tiles))
+    pictures, alpha = gsplat.rasterize_to_pixels(
+        means2d, conics, shown, opacities.expand(B, 1, N), width, height, TILE, offsets,
+        flatten_ids, absgrad=True,
+    )  # fmt: skip
+    return pictures[:, 0], alpha[:, 0, ..., 0], means2d, radii[:, 0].amax(-1)
 
 
 def _check_place(means: Tensor) -> None:
@@ -125,9 +145,9 @@ def _watch(means2d: Float[Tensor, "B 1 N 2"], radii: Tensor) -> ScreenStatistics
     return screen
 
 
-def _gsplat_rasterization() -> "Callable[..., Any]":
+def _gsplat() -> ModuleType:
     try:
-        from gsplat import rasterization
+        import gsplat
         from gsplat.cuda._backend import _C
     except ImportError as error:
         raise ConfigError(
@@ -144,4 +164,4 @@ def _gsplat_rasterization() -> "Callable[..., Any]":
             "gsplat compiles its kernels with nvcc, which it did not find: install CUDA's compiler"
             " and set CUDA_HOME, or set DEBLUR_AVATAR_DEVICE=cpu"
         )
-    return rasterization
+    return gsplat

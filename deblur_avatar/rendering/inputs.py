@@ -99,8 +99,12 @@ def refuse_not_finite(**tensors: Tensor | None) -> None:
         ValueError: naming the first tensor that holds one.
     """
     given = {name: tensor for name, tensor in tensors.items() if tensor is not None}
+    # One call and one transfer of all; lengths of numbers too large to be squared are looked into.
+    lengths = torch.stack(torch._foreach_norm([tensor.detach() for tensor in given.values()]))
+    if all(map(math.isfinite, lengths.tolist())):
+        return
     finite = torch.stack([torch.isfinite(tensor).all() for tensor in given.values()])
-    for name, fine in zip(given, finite.tolist(), strict=True):  # one transfer of all
+    for name, fine in zip(given, finite.tolist(), strict=True):
         if not fine:
             raise ValueError(not_finite(name))
 

@@ -1,5 +1,7 @@
 """Native kernels: compiled where they run on first use, kept for the next.
 
+Those of the CPU by its C++ compiler, those of a GPU by nvcc, from sources that may share headers.
+
 The library is filed under everything that could change it (source, flags, compiler, processor), so
 it never needs to be invalidated, and written to a temporary folder first, so that two processes may
 build at once.
@@ -9,6 +11,7 @@ import ctypes
 import hashlib
 import os
 import platform
+import re
 import shlex
 import shutil
 import signal
@@ -38,6 +41,13 @@ OPENMP: Final = "-fopenmp"
 # For kernels whose sums are to be torch's to the last bit: no product and sum in one rounding.
 UNCONTRACTED: Final = ("-ffp-contract=off",)
 
+# For a GPU; sums are not contracted, as on the CPU.
+CUDA_FLAGS: Final = (
+    *("-x", "cu", "-std=c++17", "-O3", "--extended-lambda", "-fmad=false"),
+    *("-shared", "-Xcompiler", "-fPIC"),
+)
+USUAL_NVCC: Final = "/usr/local/cuda/bin"
+
 COMPILE_TIMEOUT = 600  # seconds; it takes three, with sanitizers thirty, on a busy machine more
 
 
@@ -60,7 +70,7 @@ def load_library(
     """Compile a C++ source, unless that has been done before, and load it.
 
     Args:
-        source: one self-contained file with a plain C interface.
+        source: one file with a plain C interface; what it includes lies beside it.
         defines: preprocessor definitions, `NAME=value`.
         further: flags of this kernel alone.
 
@@ -70,13 +80,35 @@ def load_library(
     compiler = find_compiler()
     flags = [*FLAGS, *further, *(f"-D{define}" for define in defines)]
     flags += shlex.split(os.environ.get(FLAGS_VARIABLE, ""))
-    library = cache_folder() / f"{source.stem}-{_key(source, compiler, flags)}.so"
+    library = _place(source, compiler, flags)
     if not library.exists():
         try:
             _compile(source, compiler, [*flags, OPENMP], library)
         except _CompilerError:
             # Some compilers come without OpenMP; one thread is better than none.
             _compile(source, compiler, flags, library)
+    return ctypes.CDLL(str(library))
+
+
+def load_cuda_library(
+    source: Path, defines: Sequence[str] = (), capability: tuple[int, int] = (0, 0)
+) -> ctypes.CDLL:
+    """The same of a source for a GPU.
+
+    Args:
+        source: CUDA C++, or C++ that uses `each.h`.
+        defines: as above.
+        capability: the GPU's compute capability.
+
+    Raises:
+        BuildError: there is no nvcc, or it fails; with what it said.
+    """
+    compiler, chip = find_nvcc(), "".join(map(str, capability))
+    flags = [*CUDA_FLAGS, f"-gencode=arch=compute_{chip},code=sm_{chip}"]
+    flags += [f"-D{define}" for define in defines]
+    library = _place(source, compiler, flags)
+    if not library.exists():
+        _compile(source, compiler, flags, library)
     return ctypes.CDLL(str(library))
 
 
@@ -94,8 +126,13 @@ def library_or_none(
     try:
         return load_library(source, defines, further)
     except BuildError as error:
-        warnings.warn(f"{what} in plain torch, slowly: {error}", stacklevel=3)
+        warn_of_plain_torch(what, error)
         return None
+
+
+def warn_of_plain_torch(what: str, error: BuildError) -> None:
+    """Say that a kernel's slow twin takes over, and why."""
+    warnings.warn(f"{what} in plain torch, slowly: {error}", stacklevel=4)
 
 
 def find_compiler() -> list[str]:
@@ -113,6 +150,20 @@ def find_compiler() -> list[str]:
         if shutil.which(name):
             return [name]
     raise BuildError("no C++ compiler: none of c++, g++, clang++ is on PATH; set CXX to yours")
+
+
+def find_nvcc() -> list[str]:
+    """Find CUDA's compiler: in `CUDA_HOME` or `CUDA_PATH`, on PATH, or where it usually lies.
+
+    Raises:
+        BuildError: there is none.
+    """
+    homes = [os.environ.get("CUDA_HOME"), os.environ.get("CUDA_PATH")]
+    places = [*(str(Path(home) / "bin") for home in homes if home), None, USUAL_NVCC]
+    for place in places:
+        if found := shutil.which("nvcc", path=place):
+            return [found]
+    raise BuildError("no nvcc: neither in CUDA_HOME nor on PATH; install CUDA's compiler")
 
 
 def cache_folder() -> Path:
@@ -153,9 +204,23 @@ def _run(command: list[str]) -> None:
         raise _CompilerError(f"{shlex.join(command)} failed:\n{said}")
 
 
-def _key(source: Path, compiler: list[str], flags: list[str]) -> str:
-    parts = [source.read_text(), *compiler, *flags, OPENMP, _version(compiler), _processor()]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+def _place(source: Path, compiler: list[str], flags: list[str]) -> Path:
+    """Where the library is filed, by all that could change it."""
+    texts = [path.read_text() for path in _with_included(source)]
+    parts = [*texts, *compiler, *flags, OPENMP, _version(compiler), _processor()]
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+    return cache_folder() / f"{source.stem}-{key}.so"
+
+
+def _with_included(source: Path) -> list[Path]:
+    """A source and the headers of its own that it includes, each once."""
+    found = [source]
+    for path in found:  # grows on the way
+        for name in re.findall(r'^#include "([^"]+)"', path.read_text(), re.MULTILINE):
+            header = (path.parent / name).resolve()
+            if header not in found:
+                found.append(header)
+    return found
 
 
 def _version(compiler: list[str]) -> str:

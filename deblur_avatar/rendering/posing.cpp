@@ -1,7 +1,7 @@
 // Linear blend skinning of Gaussians in B poses at once, and its gradient; one lane a Gaussian.
 //
-// For every Gaussian n and pose b, with [R | t] = sum_j weights[n, j] transforms[b, j]:
-//   mean = R x + t,   A = R S,   covariance = A A^T (xx, xy, xz, yy, yz, zz).
+// For every Gaussian n and pose b, with [R | t] = sum_j weights[n, j] transforms[b, j], what
+// posing_formulas.h says.
 // A group is as many Gaussians as a vector has lanes (L); only joints of which one of them has a
 // weight are blended. So Gaussians of a chunk are placed by the joint that each follows most, and
 // their numbers are kept in columns. Chunks have a fixed size, and their sums are added in order:
@@ -12,6 +12,8 @@
 #include <cstring>
 #include <memory>
 #include <vector>
+
+#include "posing_formulas.h"
 
 namespace {
 
@@ -120,44 +122,6 @@ struct Groups {
     }
 };
 
-// A = R S.
-inline void factor(const vf *rt, const vf *s, vf *a) {
-    for (int i = 0; i < 3; ++i)
-        for (int k = 0; k < 3; ++k)
-            a[3 * i + k] = rt[4 * i] * s[k] + rt[4 * i + 1] * s[3 + k] + rt[4 * i + 2] * s[6 + k];
-}
-
-inline void pose_group(const vf *rt, const vf *x, const vf *s, vf *m, vf *c) {
-    vf a[9];
-    factor(rt, s, a);
-    for (int i = 0; i < 3; ++i) {
-        m[i] = rt[4 * i] * x[0] + rt[4 * i + 1] * x[1] + rt[4 * i + 2] * x[2] + rt[4 * i + 3];
-        for (int k = i; k < 3; ++k)
-            *c++ = a[3 * i] * a[3 * k] + a[3 * i + 1] * a[3 * k + 1] + a[3 * i + 2] * a[3 * k + 2];
-    }
-}
-
-// The gradient of R and t, and what those of x and S gain.
-inline void differentiate_group(const vf *rt, const vf *x, const vf *s, const vf *gm, const vf *gc,
-                                vf *rt_grad, vf *dx, vf *ds) {
-    // d loss / d A = (G + G^T) A with G the upper triangle of the gradient.
-    const vf g[9] = {2 * gc[0], gc[1], gc[2], gc[1], 2 * gc[3], gc[4], gc[2], gc[4], 2 * gc[5]};
-    vf a[9], da[9];
-    factor(rt, s, a);
-    for (int i = 0; i < 3; ++i)
-        for (int k = 0; k < 3; ++k)
-            da[3 * i + k] = g[3 * i] * a[k] + g[3 * i + 1] * a[3 + k] + g[3 * i + 2] * a[6 + k];
-    for (int i = 0; i < 3; ++i) {
-        for (int k = 0; k < 3; ++k) {
-            rt_grad[4 * i + k] = da[3 * i] * s[3 * k] + da[3 * i + 1] * s[3 * k + 1] +
-                                 da[3 * i + 2] * s[3 * k + 2] + gm[i] * x[k];
-            dx[k] += rt[4 * i + k] * gm[i];
-            for (int c = 0; c < 3; ++c) ds[3 * k + c] += rt[4 * i + k] * da[3 * i + c];
-        }
-        rt_grad[4 * i + 3] = gm[i];
-    }
-}
-
 }  // namespace
 
 extern "C" {
@@ -201,8 +165,8 @@ void pose(int64_t poses, int64_t gaussians, int64_t joints, int threads, const f
             for (int64_t group = 0; group < groups; ++group) {
                 vf rt[12];
                 all.blend(base + group, transforms + 12 * b, 12 * poses, rt);
-                pose_group(rt, of->x.values[group], of->s.values[group], of->m.values[group],
-                           of->c.values[group]);
+                pose_one(rt, of->x.values[group], of->s.values[group], of->m.values[group],
+                         of->c.values[group]);
             }
             of->m.write(posed_means + 3 * (b * gaussians + start), place, count);
             of->c.write(posed_covars + 6 * (b * gaussians + start), place, count);
@@ -242,9 +206,9 @@ void pose_backward(int64_t poses, int64_t gaussians, int64_t joints, int threads
             for (int64_t group = 0; group < groups; ++group) {
                 vf rt[12], rt_grad[12];
                 all.blend(base + group, transforms + 12 * b, width, rt);
-                differentiate_group(rt, of->x.values[group], of->s.values[group],
-                                    of->gm.values[group], of->gc.values[group], rt_grad,
-                                    of->dx.values[group], of->ds.values[group]);
+                differentiate_one(rt, of->x.values[group], of->s.values[group],
+                                  of->gm.values[group], of->gc.values[group], rt_grad,
+                                  of->dx.values[group], of->ds.values[group]);
                 all.add_gradient(base + group, rt_grad, transform_grads.data());
                 for (int64_t j = 0; weights_grad && j < joints; ++j)
                     for (int k = 0; k < 12; ++k)

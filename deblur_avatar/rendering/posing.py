@@ -3,8 +3,8 @@
 Conventions. Covariance factors and covariances are those of `covariance_factors`. Transforms go
 from canonical to posed.
 
-Float32 tensors on the CPU are posed by a native kernel: in plain torch this step costs several
-times the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
+Float32 tensors are posed by a native kernel, one for the CPU and one for a GPU: in plain torch this
+step costs several times the rasterization it feeds (docs/decisions/0004-posing-kernel.md).
 """
 
 import ctypes
@@ -23,9 +23,11 @@ from deblur_avatar.rendering.native_build import (
     library_or_none,
     pointers,
 )
+from deblur_avatar.rendering.native_calls import cuda_library_or_none, launch, place_of
 from deblur_avatar.run import kernel_threads
 
 KERNEL: Final = Path(__file__).with_name("posing.cpp")
+CUDA_KERNEL: Final = Path(__file__).with_name("posing.cu")
 
 # Groups of weights that are still held by someone, and the version of the weights they are of.
 _KNOWN: Final = WeakTensorKeyDictionary()
@@ -47,10 +49,13 @@ def pose_gaussians(
     Source: 3DGS-Avatar, Qian et al., CVPR 2024, eq. 6-7.
     """
     given = (means, covariance_factors, lbs_weights, transforms)
-    alike = all(one.device.type == "cpu" and one.dtype == torch.float32 for one in given)
-    if alike and _library() is not None:
+    place = place_of(*given)
+    if place == "cpu" and _library() is not None:
         _check_shapes(*given)
-        return _Posing.apply(means, covariance_factors, lbs_weights, transforms)
+        return _Posing.apply(*given)
+    if place == "cuda" and _cuda_library() is not None:
+        _check_shapes(*given)
+        return _PosingOnGpu.apply(*given)
     return pose_gaussians_reference(means, covariance_factors, lbs_weights, transforms)
 
 
@@ -122,6 +127,42 @@ class _Posing(torch.autograd.Function):
         return *grads, weights_grad, transforms_grad
 
 
+class _PosingOnGpu(torch.autograd.Function):
+    """Blending, and what transforms and weights gain of its gradient, are products of matrices."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, means: Tensor, covariance_factors: Tensor, lbs_weights: Tensor, transforms: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        poses, count = len(transforms), len(means)
+        rows = transforms[:, :, :3].permute(1, 0, 2, 3).flatten(1)  # 12 B numbers a joint
+        blended = lbs_weights @ rows
+        inputs = means.contiguous(), covariance_factors.contiguous(), blended
+        posed = means.new_empty(poses, count, 3), means.new_empty(poses, count, 6)
+        library = _cuda_library()
+        assert library is not None
+        launch(library, "pose", [poses, count], *inputs, *posed)
+        ctx.save_for_backward(*inputs, lbs_weights, rows)
+        ctx.poses = poses
+        return posed
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, means_grad: Tensor, covars_grad: Tensor) -> tuple[Tensor | None, ...]:
+        means, covariance_factors, blended, lbs_weights, rows = ctx.saved_tensors
+        inputs = means, covariance_factors, blended
+        upstream = means_grad.contiguous(), covars_grad.contiguous()
+        *grads, blended_grad = [torch.empty_like(value) for value in inputs]
+        library = _cuda_library()
+        assert library is not None
+        sizes = ctx.poses, len(means)
+        launch(library, "pose_backward", sizes, *inputs, *upstream, *grads, blended_grad)
+        weights_grad = blended_grad @ rows.T if ctx.needs_input_grad[2] else None
+        rows_grad = (lbs_weights.T @ blended_grad).unflatten(1, (ctx.poses, 3, 4))
+        transforms_grad = torch.nn.functional.pad(rows_grad.transpose(0, 1), (0, 0, 0, 1))
+        return *grads, weights_grad, transforms_grad
+
+
 def _groups_of(library: ctypes.CDLL, lbs_weights: Tensor) -> list[Tensor]:
     """What `_grouped` finds, once for weights that are not learned: a fit keeps them many steps."""
     if lbs_weights.requires_grad:
@@ -168,3 +209,8 @@ def _library() -> ctypes.CDLL | None:
     for name in ("chunks", "groups", "lanes"):
         getattr(library, name).restype = ctypes.c_int64
     return library
+
+
+@cache
+def _cuda_library() -> ctypes.CDLL | None:
+    return cuda_library_or_none(CUDA_KERNEL, "Gaussians are posed")

@@ -61,7 +61,9 @@ class Optimizers:
         """
         odd: str | None = "the loss"
         if bool(torch.isfinite(total)):
-            total.backward()
+            # In this thread: another for a GPU's part costs more than it brings.
+            with torch.autograd.set_multithreading_enabled(False):
+                total.backward()
             odd = self._odd_gradient()
         if odd is None:
             self._move(step)

@@ -18,6 +18,9 @@ from deblur_avatar.imaging.exposure import AveragingSpace, decode, encode, over
 
 # Not a parameter: enough to see the person's edge from both sides at three scales.
 BOX_MARGIN = 8  # pixels around the person in which structure is compared
+# Of all frames in full, converted; not parameters: they change no result.
+FLOATS_A_PIXEL = 8  # image, matte, comparable, background
+KEPT_ON_A_GPU = 2**29  # floats: 2 GiB, 268 frames of 500 pixels a side
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,17 @@ def training_frames(observations: Observations) -> list[int]:
 
 
 class Targets:
-    """The frames at one size, each with what is behind the person; full ones are never kept."""
+    """The frames at one size, each with what is behind the person.
+
+    Smaller ones are kept, and on a GPU full ones, too, where there are not too many: there
+    converting one takes as long as comparing it.
+    """
 
     def __init__(self, observations: Observations, share: float, device: torch.device) -> None:
         self._observations, self._share, self._device = observations, share, device
-        self._smaller: dict[int, Target] = {}
+        floats = FLOATS_A_PIXEL * observations.mattes.numel()
+        self._keeps = share != 1 or (device.type != "cpu" and floats <= KEPT_ON_A_GPU)
+        self._kept: dict[int, Target] = {}
         self._still: Tensor | None = None  # light of the one background
         height, width = observations.frames.shape[1:3]
         camera = replace(observations.camera.to(device), width=width, height=height)
@@ -70,11 +79,11 @@ class Targets:
 
     def __getitem__(self, index: int) -> Target:
         """One frame."""
-        if self._share == 1:
+        if not self._keeps:
             return self._converted(index)
-        if index not in self._smaller:
-            self._smaller[index] = self._converted(index)
-        return self._smaller[index]
+        if index not in self._kept:
+            self._kept[index] = self._converted(index)
+        return self._kept[index]
 
     def _converted(self, index: int) -> Target:
         target = target_of(self._observations, index, self._device)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.checkpoint import Checkpoint
@@ -158,10 +159,10 @@ class AvatarFit:
         terms = self.objective.pictures(self._with_gain(index, compared, target), alpha, target)
         terms |= self.objective.regularisers(exposure.instants, step)
         terms |= self.objective.priors(index, instants)
-        values = torch.stack([term.to(self._device) for term in terms.values()])
+        names, values = _brought_together(terms, self._device)
         if self.optimizers.step(step, values.sum()):
             self._densify(step, exposure.instants)
-        return dict(zip(terms, values.tolist(), strict=True))
+        return dict(zip(names, values.tolist(), strict=True))
 
     def cost(self, seconds: float) -> dict[str, Any]:
         """What a stage's measurements say of it, and which perceptual term it had."""
@@ -346,6 +347,19 @@ class AvatarFit:
             order = torch.randperm(len(frames), generator=self._generator).tolist()
             self._queue = [frames[position] for position in order]
         return self._queue.pop()
+
+
+def _brought_together(
+    terms: Mapping[str, Tensor], device: torch.device
+) -> tuple[list[str], Float[Tensor, " terms"]]:
+    """Terms of wherever they were found on one device; those of another in one transfer."""
+    places = dict.fromkeys(term.device.type for term in terms.values())
+    groups = [
+        {name: term for name, term in terms.items() if term.device.type == place}
+        for place in places
+    ]
+    values = [torch.stack(list(group.values())).to(device) for group in groups]
+    return [name for group in groups for name in group], torch.cat(values)
 
 
 def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -7,11 +7,15 @@ import torch
 from deblur_avatar.avatars import knn_smoothness as module
 from deblur_avatar.avatars.gaussians import neighbour_indices
 from deblur_avatar.avatars.knn_smoothness import knn_smoothness, knn_smoothness_reference
+from tests.gpu_sources import places_of, taken_for_a_gpu
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
+
+place = places_of(module)  # and of its kernel for a GPU
+BOTH_PLACES = pytest.mark.usefixtures("place")
 
 BOTH = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])  # kernel, twin
 
@@ -30,6 +34,7 @@ def with_gradient(function, values, neighbours):
     return [loss.detach(), *torch.autograd.grad(3 * loss, values)]
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("width", [1, 3, 4, 6])
 @pytest.mark.parametrize(("count", "near"), [(1, 1), (2, 1), (5, 4), (40, 1), (9000, 4)])
 def test_the_kernel_agrees_with_its_slow_twin_in_value_and_gradient(count, near, width):
@@ -47,6 +52,7 @@ def test_it_is_the_kernel_that_float32_values_go_through(monkeypatch):
     knn_smoothness(*drawn(20, 3, 4))
 
 
+@BOTH_PLACES
 @BOTH
 def test_what_is_the_same_everywhere_is_even_and_an_edge_costs_no_more_than_a_slope(dtype):
     row = torch.arange(10)
@@ -60,6 +66,7 @@ def test_what_is_the_same_everywhere_is_even_and_an_edge_costs_no_more_than_a_sl
     assert knn_smoothness(edge, near).item() == pytest.approx(2 / 20)
 
 
+@BOTH_PLACES
 @BOTH
 def test_a_gaussian_and_its_neighbour_are_drawn_to_each_other_alike(dtype):
     values = torch.tensor([[0.0, 2], [1, 2]], dtype=dtype, requires_grad=True)
@@ -68,6 +75,7 @@ def test_a_gaussian_and_its_neighbour_are_drawn_to_each_other_alike(dtype):
     assert torch.equal(pull, torch.tensor([[-0.75, 0], [0.75, 0]], dtype=dtype))
 
 
+@BOTH_PLACES
 @BOTH
 def test_a_gaussian_without_neighbours_is_smooth(dtype):
     alone = neighbour_indices(torch.zeros(1, 3), 4)
@@ -134,6 +142,14 @@ def test_a_neighbour_that_there_is_not_is_refused(wrong, dtype):
     neighbours[3, 1] = wrong
     with pytest.raises((IndexError, RuntimeError), match="neighbours must be|out of"):
         knn_smoothness(values, neighbours)
+
+
+@pytest.mark.parametrize("wrong", [5, -1, 1 << 40])
+def test_on_a_gpu_a_neighbour_that_there_is_not_makes_the_loss_not_a_number(wrong):
+    values, neighbours = drawn(5, 3, 2)
+    neighbours[3, 1] = wrong
+    with taken_for_a_gpu(module):
+        assert torch.isnan(knn_smoothness(values, neighbours))
 
 
 def test_neighbours_of_another_type_go_to_the_twin(monkeypatch):

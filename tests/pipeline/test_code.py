@@ -81,6 +81,17 @@ def test_imports_inside_functions_relative_ones_and_named_files_count(project):
     }  # fmt: skip
 
 
+def test_headers_of_another_folder_count_wherever_the_root_is_named_from(project, monkeypatch):
+    edge = project / "deblur_avatar/imaging/native/edge.cpp"
+    edge.write_text('#include "../alloy.h"\n' + edge.read_text())
+    (project / "deblur_avatar/imaging/alloy.h").write_text("float rust = 0.f;\n")
+    monkeypatch.chdir(project)
+    named = import_closure(Path("stages/cut.py"), Path())
+    assert {project / path for path in named} == import_closure(project / "stages/cut.py", project)
+    assert Path("deblur_avatar/imaging/alloy.h") in named
+    assert fingerprints(project, project) == fingerprints(Path(), Path())
+
+
 def test_a_module_named_in_a_string_counts(project):
     closure = import_closure(project / "stages/sew.py", project)
     assert project / "deblur_avatar/geometry/planes.py" in closure

@@ -11,10 +11,14 @@ from deblur_avatar.rendering.covariance_factors import (
     covariances,
     covariances_reference,
 )
+from tests.gpu_sources import places_of
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
 pytestmark = pytest.mark.portable
+
+place = places_of(module)  # and of its kernel for a GPU
+BOTH_PLACES = pytest.mark.usefixtures("place")
 
 COUNT = 500
 
@@ -35,6 +39,7 @@ def with_gradients(function, inputs):
     return [found, *torch.autograd.grad((found * weights).sum(), inputs)]
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("count", [1, 7, COUNT])
 def test_the_kernel_and_its_twin_agree(turned, count):
@@ -46,6 +51,7 @@ def test_the_kernel_and_its_twin_agree(turned, count):
         torch.testing.assert_close(one.double(), other, rtol=2e-5, atol=2e-5)
 
 
+@BOTH_PLACES
 def test_without_turns_sums_are_in_the_order_of_the_twins():
     inputs = scene()[:2]
     for one, other in zip(
@@ -58,6 +64,7 @@ def test_without_turns_sums_are_in_the_order_of_the_twins():
         torch.testing.assert_close(one, other, rtol=6e-7, atol=0)
 
 
+@BOTH_PLACES
 def test_covariances_are_upper_triangles_of_covariance_factors_times_their_transpose():
     whole = covariance_factors_reference(*scene()).detach()
     rows, columns = torch.triu_indices(3, 3)
@@ -66,6 +73,7 @@ def test_covariances_are_upper_triangles_of_covariance_factors_times_their_trans
         torch.testing.assert_close(found, (whole @ whole.mT)[:, rows, columns])
 
 
+@BOTH_PLACES
 def test_covariances_have_the_gradients_of_their_twin():
     inputs = [covariance_factors_reference(*scene()).detach().requires_grad_()]
     for one, other in zip(
@@ -76,6 +84,7 @@ def test_covariances_have_the_gradients_of_their_twin():
         torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
 
 
+@BOTH_PLACES
 def test_a_turn_comes_after_the_gaussians_own_rotation():
     quats, scales, turns = scene()
     after = torch.nn.functional.pad(turns, (1, 0), value=1.0)
@@ -107,6 +116,7 @@ def test_the_twin_has_the_gradients_of_differences(turned):
     assert torch.autograd.gradcheck(covariance_factors_reference, inputs)
 
 
+@BOTH_PLACES
 def test_strided_inputs_are_taken_as_they_are_meant():
     quats, scales, turns = scene()
     apart = [torch.stack([v, -v], dim=1)[:, 0] for v in (quats, scales)]

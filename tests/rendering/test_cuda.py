@@ -10,53 +10,78 @@ import torch
 
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.rendering import cuda
-from deblur_avatar.rendering.conventions import EPS2D
+from deblur_avatar.rendering.conventions import EPS2D, NEAR_PLANE
 from deblur_avatar.rendering.covariances import upper_triangles
 from deblur_avatar.rendering.rasterize import rasterize
 
 F64 = torch.float64
 
 
-def stand_in(
-    means, quats, scales, opacities, colors, viewmats, Ks, width, height, covars, **options
-):
+class StandIn:
     """What gsplat 1.5.3 does with the arguments we give it, by way of the reference."""
-    assert quats is None
-    assert scales is None
-    assert options["packed"] is False
-    assert options["absgrad"] is True
-    B, N = means.shape[:2]
-    assert opacities.shape == (B, N)
-    assert colors.shape[:2] == (B, N)
-    assert viewmats.shape == (B, 1, 4, 4)
-    assert Ks.shape == (B, 1, 3, 3)
-    found = rasterize(
-        means,
-        upper_triangles(covars),  # it reads no more, and puts the gradient there
-        opacities[0],
-        colors[0],
-        viewmats[0, 0],
-        Ks[0, 0],
-        width,
-        height,
-        depth=True,
-        eps2d=options["eps2d"],
-        backend="reference",
-    )
-    pictures = found.image
-    if options["render_mode"] == "RGB+D":
-        pictures = torch.cat([pictures, found.depth[..., None]], -1)
-    # A point on the way to the means, where gradients of the centres can be told to pass by.
-    means2d = torch.zeros(B, 1, N, 2, dtype=means.dtype, requires_grad=True) * 1
-    means2d.absgrad = torch.full_like(means2d, 7.0)
-    pictures = pictures + (means2d[..., 0] * 3).sum()
-    radii = found.radii[:, None, :, None].expand(B, 1, N, 2)
-    return pictures[:, None], found.alpha[:, None, ..., None], {"means2d": means2d, "radii": radii}
+
+    def fully_fused_projection(
+        self, means, covars, quats, scales, viewmats, Ks, width, height, eps2d, near_plane,
+        opacities,
+    ):  # fmt: skip
+        assert quats is None
+        assert scales is None
+        B, N = means.shape[:2]
+        assert covars.shape == (B, N, 6)
+        assert opacities.shape == (B, N)
+        assert viewmats.shape == (B, 1, 4, 4)
+        assert Ks.shape == (B, 1, 3, 3)
+        assert near_plane == NEAR_PLANE
+        self.given = means, covars, opacities[0]
+        self.camera = viewmats[0, 0], Ks[0, 0], width, height
+        self.eps2d = eps2d
+        found = self.reference(torch.zeros(N, 1, dtype=means.dtype))
+        # A point on the way to the means, where gradients of the centres can be told to pass by.
+        means2d = torch.zeros(B, 1, N, 2, dtype=means.dtype, requires_grad=True) * 1
+        means2d.absgrad = torch.full_like(means2d, 7.0)
+        radii = found.radii[:, None, :, None].expand(B, 1, N, 2)
+        depths = torch.zeros(B, 1, N, dtype=means.dtype)
+        return radii, means2d, depths, "conics", None
+
+    def reference(self, colors):
+        means, covars, opacities = self.given
+        return rasterize(
+            means, covars, opacities, colors, *self.camera,
+            depth=True, eps2d=self.eps2d, backend="reference",
+        )  # fmt: skip
+
+    def isect_tiles(self, means2d, radii, depths, tile_size, tile_width, tile_height):
+        width, height = self.camera[2:]
+        assert (tile_width - 1) * tile_size < width <= tile_width * tile_size
+        assert (tile_height - 1) * tile_size < height <= tile_height * tile_size
+        return "tiles per Gaussian", "intersections", "Gaussians"
+
+    def isect_offset_encode(self, isect_ids, n_images, tile_width, tile_height):
+        assert isect_ids == "intersections"
+        return torch.zeros(n_images, tile_height, tile_width)
+
+    def rasterize_to_pixels(
+        self, means2d, conics, colors, opacities, width, height, tile_size, isect_offsets,
+        flatten_ids, absgrad,
+    ):  # fmt: skip
+        assert absgrad is True
+        assert (conics, flatten_ids) == ("conics", "Gaussians")
+        B, N = self.given[0].shape[:2]
+        assert opacities.shape == (B, 1, N)
+        assert colors.shape[:3] == (B, 1, N)
+        assert isect_offsets.shape[:2] == (B, 1)
+        with_depth = colors.shape[-1] > 3
+        found = self.reference(colors[0, 0, :, :3])
+        pictures = found.image
+        if with_depth:
+            pictures = torch.cat([pictures, found.depth[..., None]], -1)
+        pictures = pictures + (means2d[..., 0] * 3).sum()
+        return pictures[:, None], found.alpha[:, None, ..., None]
 
 
 @pytest.fixture
 def on_the_cpu(monkeypatch):
-    monkeypatch.setattr(cuda, "_gsplat_rasterization", lambda: stand_in)
+    monkeypatch.setattr(cuda, "_gsplat", StandIn)
     monkeypatch.setattr(cuda, "_check_place", lambda means: None)
 
 
@@ -151,8 +176,6 @@ def test_tensors_elsewhere_are_refused(make_scene):
 class Uncompiled(ModuleType):
     """gsplat as it is where its kernels are not compiled."""
 
-    rasterization = None
-
     def __init__(self, name, compiled):
         super().__init__(name)
         self.compiled = compiled
@@ -172,13 +195,13 @@ def test_a_gsplat_without_kernels_says_what_to_do(compiled, said, monkeypatch):
     for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
         monkeypatch.setitem(sys.modules, name, Uncompiled(name, compiled))
     with pytest.raises(ConfigError, match=f"{said}.*DEBLUR_AVATAR_DEVICE=cpu"):
-        cuda._gsplat_rasterization()
+        cuda._gsplat()
 
 
 def test_a_gpu_without_gsplat_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
     with pytest.raises(ConfigError, match="pip install .*cuda.*DEBLUR_AVATAR_DEVICE=cpu"):
-        cuda._gsplat_rasterization()
+        cuda._gsplat()
 
 
 @pytest.mark.gpu

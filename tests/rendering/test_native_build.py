@@ -145,3 +145,49 @@ def test_libraries_are_kept_where_caches_belong(monkeypatch, tmp_path):
     assert native_build.cache_folder() == tmp_path / "deblur_avatar"
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert native_build.cache_folder() == Path.home() / ".cache" / "deblur_avatar"
+
+
+def test_a_header_that_is_included_changes_the_library(cache, source):
+    source.write_text('#include "told.h"\n' + SOURCE)
+    header = source.with_name("told.h")
+    header.write_text("#define ANSWER 3\n")
+    assert load_library(source).answer() == 3
+    header.write_text("#define ANSWER 4\n")
+    assert load_library(source).answer() == 4
+    assert len(list(cache.iterdir())) == 2
+
+
+def test_nvcc_is_looked_for_in_cuda_home_and_on_path(tmp_path, monkeypatch):
+    for variable in ("CUDA_HOME", "CUDA_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(native_build, "USUAL_NVCC", str(tmp_path / "nowhere"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(BuildError, match="neither in CUDA_HOME nor on PATH"):
+        native_build.find_nvcc()
+    on_path = pretend_compiler(tmp_path / "nvcc", "exit 1")
+    assert native_build.find_nvcc() == [on_path]
+    (tmp_path / "cuda" / "bin").mkdir(parents=True)
+    at_home = pretend_compiler(tmp_path / "cuda" / "bin" / "nvcc", "exit 1")
+    monkeypatch.setenv("CUDA_HOME", str(tmp_path / "cuda"))
+    assert native_build.find_nvcc() == [at_home]
+
+
+def test_a_gpus_library_is_filed_by_its_chip(cache, source, tmp_path, monkeypatch):
+    """Nvcc is pretended: it is called as it has to be, and builds with the compiler there is."""
+    said = tmp_path / "said"
+    compiler = " ".join(native_build.find_compiler())
+    pretended = pretend_compiler(
+        tmp_path / "nvcc",
+        f'[ "$1" = --version ] && exit 0\necho "$@" >> {said}\nwhile [ "$1" != -o ]; do '
+        f'last="$1"; case "$1" in -D*) define="$1";; esac; shift; done\n'
+        f'exec {compiler} -shared -fPIC $define -x c++ "$last" -o "$2"',
+    )
+    monkeypatch.setattr(native_build, "find_nvcc", lambda: [pretended])
+    for capability in ((9, 0), (8, 6), (9, 0)):
+        library = native_build.load_cuda_library(source, ["ANSWER=5"], capability)
+        assert library.answer() == 5
+    calls = said.read_text().splitlines()
+    assert len(calls) == 2
+    assert "code=sm_90" in calls[0]
+    assert "code=sm_86" in calls[1]
+    assert all("-x cu" in line for line in calls)

@@ -5,10 +5,14 @@ from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.rendering import posing
 from deblur_avatar.rendering.covariance_factors import covariances
 from deblur_avatar.rendering.posing import pose_gaussians, pose_gaussians_reference
+from tests.gpu_sources import places_of
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 
 pytestmark = pytest.mark.portable
+
+place = places_of(posing)  # and of its kernel for a GPU
+BOTH_PLACES = pytest.mark.usefixtures("place")
 
 JOINTS = 24
 
@@ -37,6 +41,7 @@ def with_gradients(function, inputs):
     return [*posed, *torch.autograd.grad(total, inputs)]
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("poses", [1, 5, 9])
 @pytest.mark.parametrize("count", [0, 1, 3, 256, 700, 1025, 2050])  # up to three chunks
 def test_the_kernel_agrees_with_its_slow_twin_in_value_and_gradient(count, poses):
@@ -79,6 +84,7 @@ def test_the_number_of_threads_changes_no_bit():
         assert torch.equal(one, two)
 
 
+@BOTH_PLACES
 def test_tensors_need_not_be_contiguous():
     means, covariance_factors, weights, transforms = (value.detach() for value in scene(30, 2))
     straight = pose_gaussians(means, covariance_factors, weights, transforms)
@@ -111,6 +117,7 @@ def test_tensors_that_do_not_fit_each_other_are_refused(which):
         posing._check_shapes(*inputs)
 
 
+@BOTH_PLACES
 def test_the_rest_pose_moves_nothing():
     means, covariance_factors, weights, _ = scene(20, 1)
     still = torch.eye(4).expand(3, JOINTS, 4, 4)

@@ -12,11 +12,15 @@ from deblur_avatar.training.objective import Objective
 from deblur_avatar.training.picture_losses import has_kernel, picture_losses
 from deblur_avatar.training.supervision import Compared
 from deblur_avatar.training.targets import Target
+from tests.gpu_sources import places_of
 from tests.missing_compiler import check_a_warning_without_a_compiler
 from tests.process_state import by_threads
 from tests.randomness import seeded
 
 pytestmark = pytest.mark.portable
+
+place = places_of(module)  # and of its kernel for a GPU
+BOTH_PLACES = pytest.mark.usefixtures("place")
 
 WEIGHTS = {"l1": 1.0, "structure": 0.3, "mask": 0.2}
 BOX = (3, 2, 36, 45)  # odd sides and odd halves
@@ -72,6 +76,7 @@ def check_agreement(seen, **options):
         torch.testing.assert_close(grad.double(), own, rtol=1e-6, atol=1e-6 * size)
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 @pytest.mark.parametrize("comparable", [False, True])
 @pytest.mark.parametrize("box", [BOX, WHOLE, (8, 4, 24, 36)])
@@ -79,6 +84,7 @@ def test_the_kernel_agrees_with_the_table_of_losses_in_value_and_gradient(space,
     check_agreement(target(box, comparable), space=space)
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 def test_coverage_learns_from_the_background_that_it_hides(space):
     check_agreement(target(comparable=True, background=True), space=space)
@@ -90,6 +96,7 @@ def test_coverage_learns_from_the_background_that_it_hides(space):
     assert hidden.abs().max() == 0
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize(
     "names",
     [
@@ -105,6 +112,7 @@ def test_any_of_the_losses_may_be_without_weight(names):
     check_agreement(target(), weights={name: WEIGHTS[name] for name in names})
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("sides", [(0, 0), (0, 5), (1, 1), (1, 8), (2, 1), (2, 2), (3, 2), (5, 4)])
 @pytest.mark.parametrize("names", [("l1", "structure"), ("structure", "mask")])
 def test_small_boxes_have_as_many_scales_as_fit(sides, names):
@@ -113,10 +121,12 @@ def test_small_boxes_have_as_many_scales_as_fit(sides, names):
     check_agreement(target(box), weights={name: WEIGHTS[name] for name in names})
 
 
+@BOTH_PLACES
 def test_a_picture_may_be_one_pixel():
     check_agreement(target((0, 0, 1, 1), height=1, width=1))
 
 
+@BOTH_PLACES
 def test_other_losses_are_found_beside_it_and_terms_keep_the_tables_order():
     weights = {"l1": 1.0, "structure": 0.1, "dissimilarity": 0.4, "mask": 0.2}
     terms, grads = terms_and_gradients(target(), weights=weights)
@@ -127,6 +137,7 @@ def test_other_losses_are_found_beside_it_and_terms_keep_the_tables_order():
     torch.testing.assert_close(grads[0].double(), wanted[0], rtol=1e-3, atol=1e-7)
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 def test_light_of_any_strength_is_encoded_as_the_standard_says(space):
     light = torch.logspace(-6, 0, 3000)[:, None, None].expand(-1, 1, 3).contiguous()
@@ -136,6 +147,7 @@ def test_light_of_any_strength_is_encoded_as_the_standard_says(space):
     check_agreement(seen, space=space, weights={"l1": 1.0}, picture=(light, black))
 
 
+@BOTH_PLACES
 def test_what_is_the_same_pulls_at_nothing_at_any_scale():
     # Thirds are not exact: a mean of four of them, of two and of one must yet be the same.
     seen = target((1, 1, 20, 22), height=23, width=21)
@@ -150,6 +162,7 @@ def test_what_is_the_same_pulls_at_nothing_at_any_scale():
         assert not grads[1].any()
 
 
+@BOTH_PLACES
 def test_a_render_that_is_the_frame_where_that_is_comparable_pulls_at_nothing():
     image, alpha = render()
     image.clamp_(0, 1)
@@ -160,6 +173,7 @@ def test_a_render_that_is_the_frame_where_that_is_comparable_pulls_at_nothing():
     assert not any(grad.any() for grad in grads)
 
 
+@BOTH_PLACES
 def test_black_and_white_themselves_still_pull_but_not_what_lies_beyond():
     image = torch.tensor([[[0.0, -0.1, 1.0]], [[1.1, 0.5, math.inf]]])
     seen = Target(torch.full((2, 1, 3), 0.4), torch.zeros(2, 1), None, (0, 0, 1, 2), 1.0)
@@ -167,6 +181,7 @@ def test_black_and_white_themselves_still_pull_but_not_what_lies_beyond():
     assert torch.equal(grads[0], torch.tensor([[[-1.0, 0, 1]], [[0, 1, 0]]]))
 
 
+@BOTH_PLACES
 def test_it_is_the_kernel_that_float32_pictures_go_through(monkeypatch):
     assert module._library() is not None
     monkeypatch.setattr(objective, "encode", None)
@@ -199,6 +214,7 @@ def test_the_number_of_threads_changes_no_bit(weights):
         assert all(torch.equal(*pair) for pair in zip(grads, results[0][1], strict=True))
 
 
+@BOTH_PLACES
 def test_each_loss_has_a_gradient_of_its_own():
     inputs = [value.requires_grad_() for value in render()]
     weights = {photometric: 1.0, structure: 0.3, coverage: 0.2}
@@ -210,6 +226,7 @@ def test_each_loss_has_a_gradient_of_its_own():
     assert not any(grad.any() for grad in (l1[1], edges[1], mask[0]))
 
 
+@BOTH_PLACES
 def test_tensors_need_not_be_contiguous():
     seen, (image, alpha) = target(comparable=True, background=True), render()
     straight = terms_and_gradients(seen, picture=(image, alpha))
@@ -225,6 +242,7 @@ def test_tensors_need_not_be_contiguous():
     assert all(torch.equal(*pair) for pair in zip(straight[1], strided[1], strict=True))
 
 
+@BOTH_PLACES
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 def test_what_is_not_a_number_is_not_hidden(space):
     for place, names in (((7, 8, 1), ("l1", "structure")), ((0, 0, 0), ("l1",))):
@@ -238,6 +256,7 @@ def test_what_is_not_a_number_is_not_hidden(space):
     assert torch.isnan(terms_and_gradients(target(), space, picture=(image, alpha))[0]["mask"])
 
 
+@BOTH_PLACES
 def test_what_it_does_not_look_at_may_be_anything():
     image, alpha = render()
     image[0, 0, 0] = math.nan
@@ -247,6 +266,7 @@ def test_what_it_does_not_look_at_may_be_anything():
     assert torch.isfinite(terms["structure"])
 
 
+@BOTH_PLACES
 def test_doubles_are_not_the_kernels():
     image, alpha = render()
     assert has_kernel(image, alpha)

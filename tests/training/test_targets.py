@@ -3,6 +3,7 @@ import dataclasses
 import pytest
 import torch
 
+from deblur_avatar.training import targets
 from deblur_avatar.training.targets import BOX_MARGIN, Targets, target_of
 
 CPU = torch.device("cpu")
@@ -86,3 +87,13 @@ def test_the_box_holds_the_person_at_every_size(observations):
         assert outside.max() == 0
         rows = torch.nonzero(target.matte.amax(1)).flatten()
         assert top == max(int(rows.min()) - BOX_MARGIN, 0)
+
+
+def test_full_frames_are_kept_on_a_gpu_where_they_are_not_too_many(observations, monkeypatch):
+    elsewhere = torch.device("meta")
+    few, here = Targets(observations, 1.0, elsewhere), Targets(observations, 1.0, CPU)
+    assert few[0] is few[0]
+    assert here[0] is not here[0]
+    monkeypatch.setattr(targets, "KEPT_ON_A_GPU", 8 * observations.mattes.numel() - 1)
+    many = Targets(observations, 1.0, elsewhere)
+    assert many[0] is not many[0]

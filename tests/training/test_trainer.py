@@ -19,7 +19,7 @@ from deblur_avatar.motion.trajectory import instants
 from deblur_avatar.training.fusion_network import FusionNetwork, FusionNetworkParams
 from deblur_avatar.training.params import FitParams
 from deblur_avatar.training.schedule import LevelParams, ScheduleParams
-from deblur_avatar.training.trainer import AvatarFit
+from deblur_avatar.training.trainer import AvatarFit, _brought_together
 from tests.changed_parameters import changed
 from tests.randomness import seeded
 
@@ -841,3 +841,18 @@ def test_more_gaussians_move_in_smaller_steps(begin, plain_recipe, schedule):
     assert rates[4]["means"] == pytest.approx(rates[1]["means"] / 2)
     assert rates[4]["scales"] == rates[1]["scales"]
     assert recipe.fitting.pace_of_means(1) == 1  # fewer never move faster
+
+
+def test_terms_of_two_devices_keep_their_names():
+    here = {"a": torch.tensor(1.0), "b": torch.tensor(2.0)}
+    names, values = _brought_together(here, torch.device("cpu"))
+    assert dict(zip(names, values.tolist(), strict=True)) == {"a": 1.0, "b": 2.0}
+    mixed = {
+        "a": torch.tensor(1.0, device="meta"),
+        **{"b": here["b"]},
+        "c": torch.empty((), device="meta"),
+    }
+    names, values = _brought_together(mixed, torch.device("meta"))
+    assert names == ["a", "c", "b"]
+    assert values.shape == (3,)
+    assert values.device.type == "meta"
