@@ -95,11 +95,15 @@ def spaced_frames(observations: Observations, count: int) -> list[int]:
 
 
 def height_px(observations: Observations, joints: Float[Tensor, "F J 3"]) -> float | None:
-    """The person's median height in the training camera, pixels; None without frames."""
+    """The person's median height in the training camera, pixels; None without frames.
+
+    Of who lies, her length: the longer side of the box around her joints.
+    """
     camera = observations.camera
-    rows = project(joints, camera.K, camera.viewmat)[0][..., 1]
+    places = project(joints, camera.K, camera.viewmat)[0]
+    sides = places.amax(1) - places.amin(1)
     # From the head's joint to the toes' are some nine tenths of a person.
-    return float((rows.amax(1) - rows.amin(1)).median() / 0.9) if len(rows) else None
+    return float(sides.amax(1).median() / 0.9) if len(places) else None
 
 
 def reprojection_share(

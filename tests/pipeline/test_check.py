@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.findings import tell
 from deblur_avatar.evaluation.scene_measures import (
@@ -140,6 +141,20 @@ def test_what_preprocess_measured_is_judged_too(seen):
     assert found["reprojection_share"]["verdict"] == "warn"
     assert found["speed_ratio"]["verdict"] == "warn"
     assert verdicts(seen)["reprojection_share"] == "unknown"
+
+
+def test_who_lies_is_as_tall_as_she_is_long(seen):
+    pose = seen.poses.body_pose.clone()
+    for side, angle in (("left", -1.3), ("right", 1.3)):  # arms down
+        pose[:, SMPL_JOINT_NAMES.index(f"{side}_shoulder") - 1, 2] = angle
+    seen = dataclasses.replace(seen, poses=dataclasses.replace(seen.poses, body_pose=pose))
+    stands = check_scene(seen, {})["findings"]["person_height_px"]["value"]
+    sideways = seen.cameras.viewmats.clone()
+    quarter = torch.tensor([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    sideways[seen.train_camera] = quarter @ sideways[seen.train_camera]
+    lying = dataclasses.replace(seen, cameras=dataclasses.replace(seen.cameras, viewmats=sideways))
+    lies = check_scene(lying, {})["findings"]["person_height_px"]["value"]
+    assert lies == pytest.approx(stands, rel=0.05)
 
 
 def test_one_joint_that_jumps_once_condemns_no_clip(seen):
