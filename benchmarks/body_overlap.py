@@ -18,10 +18,10 @@ from typing import Any
 import torch
 
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.evaluation.body_silhouette import INSIDE
 from deblur_avatar.evaluation.scene_measures import mask_body_iou
 
 DATA = Path("data/preprocess")
-INSIDE = 127
 
 
 def a_pixel_apart(observations: Observations) -> float:

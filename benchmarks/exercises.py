@@ -34,6 +34,7 @@ from deblur_avatar.body_estimation.part_landmarks import detect_parts
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from deblur_avatar.sources.studio.cameras import place_cameras
+from deblur_avatar.sources.studio.improvised import MIRRORED
 from deblur_avatar.sources.studio.motion import Moves
 from deblur_avatar.sources.studio.person import create_person
 
@@ -56,7 +57,7 @@ def sit_ups(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
     """Lying on the back and sitting up, feet on the floor, hands towards the knees."""
     lean = -88 + 65 * depth
     bends = {f"spine{k}": (10 * depth, 0.0, 0.0) for k in (1, 2, 3)}
-    legs = {"hip": (-(lean + 140), 0.0, 5.0), "knee": (100.0 + 0 * depth, 0.0, 0.0)}
+    legs: Degrees = {"hip": (-(lean + 140), 0.0, 5.0), "knee": (100.0, 0.0, 0.0)}
     return lean, {**bends, **legs, "shoulder": (0.0, -75.0, -10.0), "elbow": (0.0, -35.0, 0.0)}
 
 
@@ -88,12 +89,10 @@ def exercising(
     lean, joints = EXERCISES[name]((1 - turn.cos()) / 2)
     pose = torch.zeros(len(times), len(SMPL_JOINT_NAMES) - 1, 3)
     for row, joint in enumerate(SMPL_JOINT_NAMES[1:]):
-        for axis, angle in enumerate(joints.get(joint.removeprefix("left_"), ())):
-            pose[:, row, axis] = torch.deg2rad(torch.as_tensor(angle))
-        mirrored = joint.removeprefix("right_")
-        if mirrored != joint:
-            for axis, angle in enumerate(joints.get(mirrored, ())):
-                pose[:, row, axis] = (1, -1, -1)[axis] * torch.deg2rad(torch.as_tensor(angle))
+        signs = MIRRORED if joint.startswith("right_") else (1.0, 1.0, 1.0)
+        angles = joints.get(joint.removeprefix("left_").removeprefix("right_"), ())
+        for axis, (sign, angle) in enumerate(zip(signs, angles, strict=False)):
+            pose[:, row, axis] = sign * torch.deg2rad(torch.as_tensor(angle))
     away = torch.deg2rad(SIDEWAYS + WOBBLE * (0.7 * turn).sin())
     around, over = torch.zeros(len(times), 3), torch.zeros(len(times), 3)
     around[:, 1], over[:, 0] = away, torch.deg2rad(lean)
@@ -103,8 +102,8 @@ def exercising(
     )
     vertices = posed(body, still).vertices
     low, high = vertices.amin(1), vertices.amax(1)
-    middle = (low + high).mean(0) / 2
-    place = torch.stack([0 * low[:, 0] - middle[0], -low[:, 1], 0 * low[:, 0] - middle[2]], -1)
+    place = (-(low + high).mean(0) / 2).repeat(len(times), 1)
+    place[:, 1] = -low[:, 1]
     return Moves(orient.double(), pose.double(), place.double())
 
 

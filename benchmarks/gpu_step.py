@@ -10,7 +10,7 @@ kernels it is asked for. The scene is a person of capsules. Rasterized is by gsp
 import argparse
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -37,12 +37,9 @@ SIZES = ((192, 9_000), (512, 34_000), (1024, 92_000))
 @contextmanager
 def in_plain_torch() -> Iterator[None]:
     """Kernels' twins compute, on a GPU."""
-    with (
-        patch.object(posing, "_cuda_library", lambda: None),
-        patch.object(covariance_factors, "_cuda_library", lambda: None),
-        patch.object(knn_smoothness, "_cuda_library", lambda: None),
-        patch.object(picture_losses, "_cuda_library", lambda: None),
-    ):
+    with ExitStack() as stack:
+        for module in (posing, covariance_factors, knn_smoothness, picture_losses):
+            stack.enter_context(patch.object(module, "_cuda_library", lambda: None))
         yield
 
 
