@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 WORKERS ?= 2
-PIP_FLAGS := --quiet --disable-pip-version-check -c constraints.txt
+PIP_FLAGS := --quiet --disable-pip-version-check --no-compile -c constraints.txt
 # The tests of a file stay in one process, which makes what they share once; long ones first: tests/conftest.py.
 DIST := --dist loadfile --no-loadscope-reorder
 PYTEST = OMP_NUM_THREADS=1 DEBLUR_AVATAR_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) $(DIST)
@@ -22,6 +22,7 @@ $(STAMP): pyproject.toml constraints.txt deblur_avatar/cli/setup.py
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install $(PIP_FLAGS) torch
 	$(BIN)/python -m pip install $(PIP_FLAGS) --editable '.[dev]'
+	$(BIN)/python -m compileall -qq -j 0 .venv/lib || true # by all cores; pip would by one. Some files are for a newer Python
 	$(BIN)/deblur-avatar setup
 	@touch $(STAMP)
 
@@ -94,6 +95,6 @@ relock: $(STAMP)
 	$(if $(BASE),,$(error make relock needs a commit to compare with: make relock BASE=HEAD))
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.equivalence --base "$(BASE)" --renamed "$(RENAMED)" --changed "$(CHANGED)"
 
-# Copies reports/table.md and the headline of the proof into README.md; a test compares.
+# Copies reports/table.md and the headline of the proof into docs/results.md and README.md; a test compares.
 readme: $(STAMP)
 	$(BIN)/python -m tests.structure.readme_table --write

@@ -10,8 +10,8 @@ import torch
 
 from benchmarks.rasterizer import machine
 from benchmarks.time_to_quality import PARAMS
-from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.training.schedule import ScheduleParams
 
 PROOF = Path("experiments/proof/params.yaml")
@@ -71,7 +71,7 @@ def complete_record(
                 "machine": machine(0.0), "schedule": arguments.schedule, **about,
                 "summary": summary_of(rows), "rows": sorted(rows, key=key_of),
             }  # fmt: skip
-            run.write_json(path, record)
+            write_json(path, record)
     print(json.dumps(summary_of(rows), indent=1))
 
 

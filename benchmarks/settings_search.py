@@ -31,8 +31,9 @@ from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.reblur import mean_reblur_psnr
+from deblur_avatar.files import write_json
 from deblur_avatar.methods import MethodParams
-from deblur_avatar.run import chosen_device, write_json
+from deblur_avatar.run import chosen_device
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
 

@@ -38,6 +38,7 @@ from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.comparisons import compare_views, mean_scores
 from deblur_avatar.evaluation.truth_views import TruthView, truth_views
+from deblur_avatar.files import write_json
 from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.methods import MethodParams
 from deblur_avatar.pipeline.blur import BlurParams, blur
@@ -336,7 +337,7 @@ def main(arguments: argparse.Namespace) -> None:
             for method in arguments.methods:
                 value = reference_of(method, size, arguments.folder)
                 references[f"{SCENE}-{size}-{method}"] = value
-                run.write_json(path, dict(sorted(references.items())))
+                write_json(path, dict(sorted(references.items())))
         return
     known = arguments.json and arguments.json.exists() and json.loads(arguments.json.read_text())
     record = with_rows(known or {}, [], None, references)
@@ -348,11 +349,11 @@ def main(arguments: argparse.Namespace) -> None:
                 record = with_rows(record, [row], None, references)
                 print(json.dumps(row), flush=True)
                 if arguments.json:
-                    run.write_json(arguments.json, record)
+                    write_json(arguments.json, record)
     if arguments.beside:
         record = with_rows(record, [], beside_another(arguments.folder), references)
     if arguments.json:
-        run.write_json(arguments.json, record)
+        write_json(arguments.json, record)
     print(json.dumps(record, indent=1))
 
 

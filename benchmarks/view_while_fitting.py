@@ -40,6 +40,7 @@ from benchmarks.rasterizer import machine
 from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.pipeline.warmup import warm_up
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.resume import run_folder
@@ -296,7 +297,7 @@ def main(arguments: argparse.Namespace) -> None:
     record["turns"] = measured(arguments.observations, arguments.rounds, arguments.seconds)
     record |= summary(record["turns"])
     if arguments.json:
-        run.write_json(arguments.json, record)
+        write_json(arguments.json, record)
     print(json.dumps(record, indent=1))
 
 

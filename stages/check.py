@@ -7,6 +7,7 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.evaluation.findings import tell
+from deblur_avatar.files import read_json, write_json, write_text
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.check import (
     CheckParams,
@@ -23,11 +24,11 @@ def main(
     params = load_params(params_file, "check", CheckParams)
     with run.stage("check", scene, seed=0):  # nothing here is drawn at random
         seen = Observations.load(observations)
-        content = check_scene(seen, run.read_json(fit))
+        content = check_scene(seen, read_json(fit))
         sheet = draw_check(seen)
         write_picture(out / "check.png", sheet)
-        run.write_text(out / "index.html", check_page(scene, content, sheet))
-        run.write_json(metrics, content)
+        write_text(out / "index.html", check_page(scene, content, sheet))
+        write_json(metrics, content)
         tell(scene, content)
         refuse_failed(scene, content, params)
 

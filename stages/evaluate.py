@@ -9,6 +9,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.pipeline.evaluate import evaluate
 from deblur_avatar.reporting.evaluation_pictures import draw_pictures
 
@@ -26,14 +27,13 @@ def main(
         evaluation = evaluate(seen, Reference.load(reference), avatar, motion, context.device)
         pictures = draw_pictures(evaluation.comparisons, seen, avatar, motion, context.device)
         pictures.save(out)
-        content = {"scene": scene, "method": method, **evaluation.metrics}
-        content["run"] = {
+        content = {"scene": scene, "method": method, **evaluation.metrics, "run": {
             "seed": seed, "device": context.device.type, "schedule": schedule,
             "iterations": avatar.iteration, **evaluation.computed,
-        }  # fmt: skip
-        run.write_json(out / "views.json", pictures.index)
-        run.write_json(metrics, content)
-        run.write_json(cost, {"render_fps": evaluation.render_fps})
+        }}  # fmt: skip
+        write_json(out / "views.json", pictures.index)
+        write_json(metrics, content)
+        write_json(cost, {"render_fps": evaluation.render_fps})
 
 
 if __name__ == "__main__":

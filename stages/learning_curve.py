@@ -7,6 +7,7 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.pipeline.learning_curve import learning_curve
 
 
@@ -23,7 +24,7 @@ def main(
             {"warmup": warmup, "trajectory": trajectory, "fusion": fusion},
             context.device,
         )
-        run.write_json(metrics, {"scene": scene, "method": method, **content})
+        write_json(metrics, {"scene": scene, "method": method, **content})
 
 
 if __name__ == "__main__":

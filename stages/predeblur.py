@@ -6,6 +6,7 @@ import deblur_avatar.loading  # noqa: F401
 from deblur_avatar import run
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.pipeline.predeblur import PredeblurParams, predeblur
 
 
@@ -17,7 +18,7 @@ def main(scene: str, observations: Path, out: Path, metrics: Path, params_file: 
     with run.stage("predeblur", scene, seed):
         deblurred, used = predeblur(Observations.load(observations), params)
         deblurred.save(out)
-        run.write_json(metrics, used)
+        write_json(metrics, used)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.clip import BlurryClip
 from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.pipeline.preprocess import PreprocessParams, preprocess
 
 
@@ -27,7 +28,7 @@ def main(scene: str, blur: Path, body: Path, out: Path, metrics: Path, params_fi
             detect=detect_with_mediapipe,
         )
         prepared.save(out)
-        run.write_json(metrics, prepared.metrics)
+        write_json(metrics, prepared.metrics)
 
 
 if __name__ == "__main__":

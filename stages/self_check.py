@@ -8,6 +8,7 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.evaluation.findings import tell
+from deblur_avatar.files import write_json, write_text
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.pipeline.self_check import self_check
 from deblur_avatar.reporting.self_check_pictures import draw_self_check, self_check_page
@@ -21,8 +22,8 @@ def main(name: str, observations: Path, fusion: Path, out: Path, metrics: Path) 
         checked = self_check(seen, avatar, motion, context.device)
         sheet = draw_self_check(seen, checked.filmed, checked.sides)
         write_picture(out / "self_check.png", sheet)
-        run.write_text(out / "index.html", self_check_page(name, checked.content, sheet))
-        run.write_json(metrics, checked.content)
+        write_text(out / "index.html", self_check_page(name, checked.content, sheet))
+        write_json(metrics, checked.content)
         tell(name, checked.content)
 
 

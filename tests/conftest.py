@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import jaxtyping
 import pytest
@@ -27,7 +26,6 @@ from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.motion.frame import FixedMotion
 from deblur_avatar.training.params import RecipeParams
 from deblur_avatar.training.schedule import ScheduleParams
-from deblur_avatar.training.trainer import AvatarFit
 from tests.exports.browser import chromium
 from tests.filmed_scene import Scene, film
 
@@ -37,7 +35,9 @@ HERE = Path(__file__).parent
 FIRST = ("sweep", "stages", "stress", "exports", "fuzz", "sources", "structure", "pipeline")
 
 SIZE = 24  # pixels
-CHECKED_STEPS = 3  # of a fit, at its beginning
+# Calls of functions whose shapes are checked: the first of each test, and of later ones every so
+# many, a prime, so that it is not always the same one of a loop's.
+ALL_CHECKED, CHECKED_EVERY = 500, 29
 
 PLAIN = PlainParams(kind="plain")
 
@@ -63,27 +63,32 @@ def quick_processes() -> None:
     os.environ.pop("DEBLUR_AVATAR_CHECK_SHAPES", None)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def shapes_checked_in_first_steps() -> Iterator[None]:
-    """And in every tenth: most of a fit's steps call what the ones before called, and checking each
-    takes a third of the time of such tests.
+class SampledChecks(type(jaxtyping.config)):  # type: ignore[misc]
+    """Shapes are checked in a test's first calls and in some of all later ones: most of those call
+    what the ones before called, and checking each takes a fifth of the time of such tests.
     """
-    step = AvatarFit.step
-    taken: WeakKeyDictionary[AvatarFit, int] = WeakKeyDictionary()
 
-    def checked(fit: AvatarFit, *where: Any) -> dict[str, float]:
-        taken[fit] = taken.get(fit, 0) + 1
-        looked_at = taken[fit] <= CHECKED_STEPS or taken[fit] % 10 == 0
-        before = jaxtyping.config.jaxtyping_disable
-        jaxtyping.config.update("jaxtyping_disable", before or not looked_at)
-        try:
-            return step(fit, *where)
-        finally:
-            jaxtyping.config.update("jaxtyping_disable", before)
+    calls = 0  # of functions with annotated shapes
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(AvatarFit, "step", checked)
-        yield
+    @property
+    def jaxtyping_disable(self) -> bool:
+        """Asked by every call whether it is not checked."""
+        self.calls += 1
+        return self.calls > ALL_CHECKED and self.calls % CHECKED_EVERY != 0
+
+    @jaxtyping_disable.setter
+    def jaxtyping_disable(self, value: bool) -> None:
+        pass
+
+
+if os.environ.get("DEBLUR_AVATAR_CHECK_SHAPES") == "1":
+    jaxtyping.config.__class__ = SampledChecks
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Before a test's fixtures are made."""
+    jaxtyping.config.calls = 0  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -19,11 +19,8 @@ PLAN: dict[str, Any] = {
         "clip": {"observations": "blurred", "method": "lean"},
         "oracle": {"observations": "sharp", "method": "oracle"},
     },
-    "scenes": {
-        "studio": {"kind": "tuning", "filmed": "root"},
-        "leaping": {"kind": "report", "filmed": "here"},
-        "leaping_17": {"kind": "report", "filmed": "here"},
-    },
+    "scenes": {"studio": "tuning", "leaping": "report", "leaping_17": "report"},
+    "filmed_at_root": ["studio"],
     "windows": {"leaping": {17: "leaping_17", 33: "leaping"}},
     "without_pictures": [],
     "parts": {

@@ -18,8 +18,8 @@ from benchmarks.stress.checks import AGNOSTIC, Case, Check
 from benchmarks.stress.params import ModeParams, SeverityParams
 from benchmarks.stress.rules import judge
 from benchmarks.stress.suite import PICTURES
-from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.files import read_json, write_json, write_text
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.reporting.page import picture_uri, render_page
@@ -58,10 +58,10 @@ class StabilityReport:
 
     def save(self, reports: Path, metrics: Path) -> None:
         """Write `index.html` and `stability.json`, and one file a mode and method."""
-        run.write_text(reports / "index.html", self.page)
-        run.write_json(reports / "stability.json", self.summary)
+        write_text(reports / "index.html", self.page)
+        write_json(reports / "stability.json", self.summary)
         for name, content in self.metrics.items():
-            run.write_json(metrics / f"{name}.json", content)
+            write_json(metrics / f"{name}.json", content)
 
 
 def report_stability(modes: Mapping[str, ModeParams], items: Path, scenes: Path) -> StabilityReport:
@@ -77,7 +77,7 @@ def report_stability(modes: Mapping[str, ModeParams], items: Path, scenes: Path)
     """
     rows, methods = _read(modes, items)
     names = {s.scene for mode in rows for s in modes[mode].severities.values()}
-    ceilings = {name: run.read_json(scenes / name / "ceiling.json") for name in sorted(names)}
+    ceilings = {name: read_json(scenes / name / "ceiling.json") for name in sorted(names)}
     verdicts = {
         mode: {method: _verdict(mode, modes[mode], method, rows, ceilings) for method in rows[mode]}
         for mode in rows
@@ -97,7 +97,7 @@ def _read(modes: Mapping[str, ModeParams], items: Path) -> tuple[Rows, list[str]
     rows: dict[str, dict[str, Any]] = {}
     for mode in modes:
         folders = sorted(items.glob(f"{mode}-*/measured.json"))
-        found = {path.parent.name.removeprefix(f"{mode}-"): run.read_json(path) for path in folders}
+        found = {path.parent.name.removeprefix(f"{mode}-"): read_json(path) for path in folders}
         if AGNOSTIC in found:
             rows[mode] = found
     if CLEAN not in rows:

@@ -27,12 +27,12 @@ from benchmarks.stress.measures import (
     score_of,
 )
 from benchmarks.stress.params import ModeParams, SeverityParams
-from deblur_avatar import run
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.bodies.capsule import capsule_body
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.files import write_json
 from deblur_avatar.imaging.picture_files import write_picture
 from deblur_avatar.motion.clip import EstimatedShutter
 from deblur_avatar.pipeline.check import check_scene
@@ -59,7 +59,7 @@ class Item:
 
     def save(self, folder: Path) -> None:
         """Write `measured.json` and the pictures of the worst view."""
-        run.write_json(folder / "measured.json", self.rows)
+        write_json(folder / "measured.json", self.rows)
         if self.worst is not None:
             for name, picture in zip(PICTURES, self.worst.pictures, strict=True):
                 write_picture(folder / f"{name}.png", picture)

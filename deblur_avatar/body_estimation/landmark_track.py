@@ -47,17 +47,26 @@ class CleanTrack:
     flags: Flags
 
 
+def sizes(points: Float[Tensor, "F L 2"], *, any_pose: bool) -> Float[Tensor, " F"]:
+    """A person's size in each frame: the height of the box around her landmarks.
+
+    Args:
+        points: pixels, or metres across the view.
+        any_pose: she may lie: the longer side of the box.
+    """
+    sides = points.amax(1) - points.amin(1)
+    return sides.amax(1) if any_pose else sides[:, 1]
+
+
 def size_in_pictures(people: Sequence[Landmarks], *, any_pose: bool) -> float:
     """A person's median size over all frames of all views, pixels; 1 where nobody was found.
 
     Args:
         people: one person, view by view.
-        any_pose: she may lie: the longer side of the box around her landmarks, not its height.
+        any_pose: as in `sizes`.
     """
-    seen = [person.points[person.found] for person in people]
-    sides = torch.cat([points.amax(1) - points.amin(1) for points in seen])
-    sizes = sides.amax(1) if any_pose else sides[:, 1]
-    return float(sizes.median().clamp(min=1.0)) if len(sizes) else 1.0
+    found = torch.cat([sizes(one.points[one.found], any_pose=any_pose) for one in people])
+    return float(found.median().clamp(min=1.0)) if len(found) else 1.0
 
 
 def clean(person: Landmarks, interval: float, size: float) -> CleanTrack:

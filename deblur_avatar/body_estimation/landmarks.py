@@ -17,7 +17,7 @@ from torch import Tensor
 from deblur_avatar import run
 from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
 from deblur_avatar.body_estimation.pose_model import COMPLEXITY, PoseModel, installed_model
-from deblur_avatar.body_estimation.quiet import quiet_stderr
+from deblur_avatar.body_estimation.quiet import quiet_stderr, wait_until_started
 
 logger = logging.getLogger(__name__)
 
@@ -68,6 +68,7 @@ def detect_with_mediapipe(
             enable_segmentation=True,
             smooth_segmentation=False,
         )
+        wait_until_started(detector)
     with detector:
         for index in run.progress(range(count), "landmarks and mattes"):
             with quiet_stderr():

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from deblur_avatar.body_estimation.landmark_track import sizes
 from deblur_avatar.body_estimation.triangulation import Triangulated
 
 DEPTH_ACCELERATION = 3.0  # m/s^2: how fast a person's distance as a whole changes its speed
@@ -95,9 +96,7 @@ def _typical_depth(
     any_pose: bool,
 ) -> float:
     shown = guess[(confidences > 0).any(1)][..., :2]
-    sides = shown.amax(1) - shown.amin(1)
-    sizes = sides.amax(1) if any_pose else sides[:, 1]
-    return float(f[1] * sizes.median() / extent)
+    return float(f[1] * sizes(shown, any_pose=any_pose).median() / extent)
 
 
 def _smooth_way(

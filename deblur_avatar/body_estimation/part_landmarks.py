@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from torch import Tensor
 
 from deblur_avatar import run
-from deblur_avatar.body_estimation.quiet import quiet_stderr
+from deblur_avatar.body_estimation.quiet import quiet_stderr, wait_until_started
 
 logger = logging.getLogger(__name__)
 
@@ -147,6 +147,8 @@ def _models() -> Iterator[tuple[Any, Any]]:
 
         hands = Hands(static_image_mode=True, max_num_hands=1, min_detection_confidence=SURE)
         face = FaceMesh(static_image_mode=True, max_num_faces=1, min_detection_confidence=SURE)
+        for detector in (hands, face):
+            wait_until_started(detector)
     with hands, face:
         yield hands, face
 

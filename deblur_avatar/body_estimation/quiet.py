@@ -4,6 +4,9 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
 
 
 @contextmanager
@@ -19,3 +22,10 @@ def quiet_stderr() -> Iterator[None]:
             sys.stderr.flush()
             os.dup2(kept, 2)
             os.close(kept)
+
+
+def wait_until_started(detector: Any) -> None:
+    """Show a MediaPipe detector a black picture: its threads log whenever they start, which is
+    later than the detector is made and no later than its first answer.
+    """
+    detector.process(np.zeros((16, 16, 3), np.uint8))

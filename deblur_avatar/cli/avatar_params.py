@@ -16,8 +16,8 @@ from deblur_avatar.config.reading import (
     section_of,
 )
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.files import write_text
 from deblur_avatar.parameters import check_parameters
-from deblur_avatar.run import write_text
 from deblur_avatar.sources.footage import read_footage
 
 PAGE = "avatar.html"

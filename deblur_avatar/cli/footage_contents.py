@@ -16,8 +16,8 @@ from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.running_dvc import reproduce
 from deblur_avatar.config.reading import expand_environment, load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.files import read_json, write_json
 from deblur_avatar.readers.file_contents import contents_digest
-from deblur_avatar.run import read_json, write_json
 
 logger = logging.getLogger(__name__)
 

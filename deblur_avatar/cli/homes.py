@@ -15,8 +15,8 @@ from configobj import ConfigObj, ConfigObjError
 
 import deblur_avatar
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.files import write_bytes, write_text
 from deblur_avatar.pipeline.code import PIPELINE
-from deblur_avatar.run import write_bytes, write_text
 
 PARAMS, SCRIPTS, SHIPPED = "params.yaml", "stages", "pipeline_files"
 CHECKOUT = (PIPELINE, PARAMS, SCRIPTS)  # what a checkout of the repository has

@@ -101,8 +101,8 @@ def _missing_footage(plan: ProofParams, parts: Sequence[str]) -> set[str]:
     """Scenes that cannot be made here; each is named in the log."""
     missing = set()
     for scene in dict.fromkeys(cell.scene for cell in cells_of(plan, parts).values()):
-        params = load_params(PARAMS if plan.scenes[scene].filmed == "here" else Path("params.yaml"),
-                             f"scenes.{scene}", SceneParams)  # fmt: skip
+        file = Path("params.yaml") if scene in plan.filmed_at_root else PARAMS
+        params = load_params(file, f"scenes.{scene}", SceneParams)
         reasons = params.clip.missing_files(f"scenes.{scene}.clip")
         if reasons:
             logger.warning("scene %s is left out: %s", scene, "; ".join(reasons))

@@ -38,7 +38,7 @@ from deblur_avatar.config.reading import load_params, parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.evaluation.findings import failures, read_findings
 from deblur_avatar.exports.registry import ExportParams
-from deblur_avatar.run import read_json
+from deblur_avatar.files import read_json
 
 logger = logging.getLogger(__name__)
 

@@ -39,15 +39,9 @@ class ColumnParams(Params):
     method: str
 
 
-class ProofSceneParams(Params):
-    """One scene of the proof: what its figures may be used for, and where its footage lies.
-
-    A scene in `real_light` is a report scene that was filmed, not made. It has no exact poses and
-    is in no mean with those that have.
-    """
-
-    kind: Literal["report", "real_light", "tuning"]
-    filmed: Literal["here", "root"]  # by the proof itself, or by the pipeline at the root
+# What a scene's figures may be used for. One in `real_light` is a report scene that was filmed, not
+# made: it has no exact poses and is in no mean with those that have.
+SceneKind = Literal["report", "real_light", "tuning"]
 
 
 class PartParams(Params):
@@ -75,7 +69,8 @@ class ProofParams(Params):
 
     avatars: dict[str, str]  # rows: entries of `avatars`, by the name that tables give them
     columns: dict[str, ColumnParams]
-    scenes: dict[str, ProofSceneParams]
+    scenes: dict[str, SceneKind]
+    filmed_at_root: tuple[str, ...]  # scenes whose footage the pipeline at the root makes
     windows: dict[str, dict[Count, str]]  # scenes that differ in it alone: sub-frames to scene
     without_pictures: tuple[str, ...]  # scenes of which the page shows none
     parts: dict[str, PartParams]
@@ -144,7 +139,7 @@ def _check_shared(path: Path, plan: ProofParams) -> None:
     methods = {column.method for column in plan.columns.values()}
     windows = {scene for group in plan.windows.values() for scene in group.values()}
     wanted = {
-        "scenes": {name for name, scene in plan.scenes.items() if scene.filmed == "here"},
+        "scenes": plan.scenes.keys() - set(plan.filmed_at_root),
         "avatars": set(plan.avatars.values()),
         "methods": methods,
     }
@@ -152,7 +147,11 @@ def _check_shared(path: Path, plan: ProofParams) -> None:
         there = scenes if section == "scenes" else load_params(path, section, dict)
         for name in sorted(names - there.keys()):
             raise ConfigError(f"{path}: proof: {section} has no {name!r}")
-    named = {"windows": windows | plan.windows.keys(), "without_pictures": {*plan.without_pictures}}
+    named = {
+        "windows": windows | plan.windows.keys(),
+        "filmed_at_root": {*plan.filmed_at_root},
+        "without_pictures": {*plan.without_pictures},
+    }
     for section, names in named.items():
         for name in sorted(names - plan.scenes.keys()):
             raise ConfigError(
@@ -225,7 +224,7 @@ def seconds_of(
 def items_of_scene(plan: ProofParams, scene: str) -> dict[str, Any]:
     """What the stages of one scene's pipeline run over, as `cells.yaml` says it to DVC."""
     cells = [cell for cell in cells_of(plan).values() if cell.scene == scene]
-    here = plan.scenes[scene].filmed == "here"
+    here = scene not in plan.filmed_at_root
     data = f"experiments/proof/data/{scene}"
     seen = {plan.columns[cell.motion].observations for cell in cells}
     return {

@@ -12,7 +12,7 @@ from typing import Any
 
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.run import read_json
+from deblur_avatar.files import read_json
 
 STAGES = ("warmup", "trajectory", "fusion")
 

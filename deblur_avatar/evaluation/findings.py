@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.files import read_json
 
 logger = logging.getLogger(__name__)
 
@@ -139,7 +139,7 @@ def read_findings(path: Path) -> dict[str, Any]:
     Raises:
         ArtifactError: if the file is missing or damaged.
     """
-    content = run.read_json(path)
+    content = read_json(path)
     try:
         _Written.model_validate(content)
     except ValidationError as error:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deblur_avatar import run
 from deblur_avatar.config.proof import MOTIONS, Cell, ProofParams, cells_of, warmup_of
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.costs import read_costs, with_seconds
 from deblur_avatar.evaluation.metrics import METRICS
 from deblur_avatar.evaluation.recovery import Result, averaged, compared, standard_deviations
+from deblur_avatar.files import read_json
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def read_cells(plan: ProofParams, metrics: Path) -> list[Found]:
         path = folder / "evaluate" / f"{cell.name}.json"
         if not path.exists():
             continue
-        content = run.read_json(path)
+        content = read_json(path)
         method = plan.columns[cell.motion].method
         if (content.get("scene"), content.get("method")) != (cell.scene, method):
             raise ArtifactError(f"{path} is not of {method} on {cell.scene}; run `make proof`")
@@ -64,7 +64,7 @@ def read_cells(plan: ProofParams, metrics: Path) -> list[Found]:
             Found(
                 cell,
                 content | {"cost": read_costs(files)},
-                with_seconds(run.read_json(curve), files) if curve.exists() else None,
+                with_seconds(read_json(curve), files) if curve.exists() else None,
             )
         )
     return found

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.body_estimation.landmark_track import sizes
 from deblur_avatar.evaluation.body_silhouette import INSIDE, body_triangles
 from deblur_avatar.geometry.cameras import camera_centres, project
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
@@ -101,9 +102,8 @@ def height_px(observations: Observations, joints: Float[Tensor, "F J 3"]) -> flo
     """
     camera = observations.camera
     places = project(joints, camera.K, camera.viewmat)[0]
-    sides = places.amax(1) - places.amin(1)
     # From the head's joint to the toes' are some nine tenths of a person.
-    return float(sides.amax(1).median() / 0.9) if len(places) else None
+    return float(sizes(places, any_pose=True).median() / 0.9) if len(places) else None
 
 
 def reprojection_share(

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from deblur_avatar import run as stage
 from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.shown_motion import even_motion
 from deblur_avatar.exports.upright import rest_pelvis, upright_of
+from deblur_avatar.files import write_text
 
 CENTIMETRES = 100.0
 TIP = 5.0  # centimetres from a last joint to its end, which readers want and nothing tells
@@ -50,7 +50,7 @@ class BvhExport(Params):
             [places.double().numpy() * CENTIMETRES, angles[:, order].reshape(len(angles), -1)], 1
         )
         lines += [" ".join(f"{value:.6f}" for value in row) for row in rows]
-        stage.write_text(path, "\n".join(lines) + "\n")
+        write_text(path, "\n".join(lines) + "\n")
 
 
 def depth_first(parents: Sequence[int], joint: int = 0) -> list[int]:

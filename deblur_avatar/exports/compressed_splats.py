@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from deblur_avatar import run as stage
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.ply import frame_as_ply
+from deblur_avatar.files import write_bytes
 
 
 class SpzExport(Params):
@@ -25,7 +25,7 @@ class SpzExport(Params):
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the avatar at the middle of this frame's exposure."""
-        stage.write_bytes(path, _converted(frame_as_ply(run, self.frame), "spz"))
+        write_bytes(path, _converted(frame_as_ply(run, self.frame), "spz"))
 
 
 class SogExport(Params):
@@ -38,7 +38,7 @@ class SogExport(Params):
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the avatar at the middle of this frame's exposure."""
-        stage.write_bytes(path, _converted(frame_as_ply(run, self.frame), "sog"))
+        write_bytes(path, _converted(frame_as_ply(run, self.frame), "sog"))
 
 
 def _converted(ply: bytes, to: str) -> bytes:

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from deblur_avatar import run as stage
 from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.bodies import smpl
 from deblur_avatar.bodies.posed_body import shaped_joints, shaped_vertices
@@ -24,6 +23,7 @@ from deblur_avatar.exports.gltf_file import TRIANGLES, VERTICES, GltfFile
 from deblur_avatar.exports.posed_gaussians import canonical_colors
 from deblur_avatar.exports.shown_motion import MotionExport, ShownMotion, shown_motions
 from deblur_avatar.exports.upright import Upright, rest_pelvis, upright_of
+from deblur_avatar.files import write_bytes
 from deblur_avatar.geometry.rotations import continuous
 from deblur_avatar.imaging.color import srgb_to_linear
 
@@ -58,7 +58,7 @@ class GltfRigExport(MotionExport):
         else:
             nodes.append({"name": run.name, "mesh": 0, "skin": 0})
             file.document |= {"meshes": [_mesh(file, run)], "materials": [MATERIAL]}
-        stage.write_bytes(path, file.content())
+        write_bytes(path, file.content())
 
 
 MATERIAL = {"name": "skin", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.9}}

@@ -13,13 +13,13 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from deblur_avatar import run as stage
 from deblur_avatar.config.section import Params
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.gltf_file import VERTICES, GltfFile
 from deblur_avatar.exports.ply import C0
 from deblur_avatar.exports.posed_gaussians import posed_frame
 from deblur_avatar.exports.upright import upright_of
+from deblur_avatar.files import write_bytes
 from deblur_avatar.imaging.color import srgb_to_linear
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -59,4 +59,4 @@ class GltfSplatsExport(Params):
             "nodes": [{"name": run.name, "mesh": 0}],
             "meshes": [{"name": run.name, "primitives": [splat]}],
         }
-        stage.write_bytes(path, file.content())
+        write_bytes(path, file.content())

@@ -15,12 +15,12 @@ from typing import ClassVar, Literal
 import numpy as np
 import torch
 
-from deblur_avatar import run as stage
 from deblur_avatar.animation.amass import UPRIGHT_FROM_AMASS
 from deblur_avatar.animation.captured_motion import captured_motion
 from deblur_avatar.config.section import Params
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
+from deblur_avatar.files import write_bytes
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
@@ -55,4 +55,4 @@ class NpzExport(Params):
             gender=np.str_("neutral"),
             licence=np.str_(observations.body.licence),
         )
-        stage.write_bytes(path, content.getvalue())
+        write_bytes(path, content.getvalue())

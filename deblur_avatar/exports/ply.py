@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from pydantic import Field
 
-from deblur_avatar import run as stage
 from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.posed_gaussians import PosedGaussians, posed_frame, posed_motion
 from deblur_avatar.exports.shown_motion import even_motion
 from deblur_avatar.exports.upright import upright_of
+from deblur_avatar.files import write_bytes
 
 C0 = 0.28209479177387814  # spherical harmonic of degree 0: 1 / (2 sqrt(pi))
 MAX_OPACITY = 1 - 1e-6  # so that the logit is finite
@@ -40,7 +40,7 @@ class PlyExport(Params):
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the avatar at the middle of this frame's exposure."""
-        stage.write_bytes(path, frame_as_ply(run, self.frame))
+        write_bytes(path, frame_as_ply(run, self.frame))
 
 
 class PlySequenceExport(Params):
@@ -58,9 +58,7 @@ class PlySequenceExport(Params):
         motion, _ = even_motion(run, self.motion, self.fps, self.seconds)
         axes = upright_of(run).for_splats()
         for index, gaussians in enumerate(posed_motion(run, motion.poses)):
-            stage.write_bytes(
-                path / f"frame_{index:04d}.ply", ply_bytes(axes.gaussians(gaussians), run)
-            )
+            write_bytes(path / f"frame_{index:04d}.ply", ply_bytes(axes.gaussians(gaussians), run))
 
 
 def frame_as_ply(run: FittedRun, frame: int) -> bytes:

@@ -11,10 +11,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from deblur_avatar import run as stage
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.exports.shown_motion import MotionExport, shown_motions
+from deblur_avatar.files import write_bytes
 from deblur_avatar.geometry.rotations import axis_angle_to_quat
 
 
@@ -50,4 +50,4 @@ class RigArraysExport(MotionExport):
             }
         content = io.BytesIO()
         np.savez(content, **arrays)  # type: ignore[arg-type]
-        stage.write_bytes(path, content.getvalue())
+        write_bytes(path, content.getvalue())

@@ -13,7 +13,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from deblur_avatar import run as stage
 from deblur_avatar.config.section import Params, Positive
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
@@ -21,6 +20,7 @@ from deblur_avatar.exports.ply import C0
 from deblur_avatar.exports.posed_gaussians import PosedGaussians, posed_motion
 from deblur_avatar.exports.shown_motion import even_motion
 from deblur_avatar.exports.upright import upright_of
+from deblur_avatar.files import write_bytes
 
 REACH = 3.0  # standard deviations of a Gaussian that the extent holds
 
@@ -57,7 +57,7 @@ class UsdExport(Params):
         splats = UsdVol.ParticleField3DGaussianSplat.Define(scene, "/Avatar/Splats")
         for index, gaussians in enumerate(posed_motion(run, motion.poses)):
             _sample(splats, axes.gaussians(gaussians), index)
-        stage.write_bytes(path, _written(layer, path))
+        write_bytes(path, _written(layer, path))
 
 
 def _sample(splats: Any, gaussians: PosedGaussians, index: int) -> None:

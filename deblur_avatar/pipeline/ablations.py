@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deblur_avatar import run
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.recovery import (
@@ -19,6 +18,7 @@ from deblur_avatar.evaluation.recovery import (
     compared,
     standard_deviations,
 )
+from deblur_avatar.files import write_bytes, write_json
 from deblur_avatar.pipeline.report import read_learning_curves, read_results
 from deblur_avatar.reporting.charts import chart_files
 from deblur_avatar.reporting.page import render_page
@@ -137,8 +137,8 @@ class AblationReport:
         """
         files = {"index.html": self.page.encode(), "tables.md": self.tables.encode()}
         for file, content in (files | self.charts).items():
-            run.write_bytes(folder / file, content)
-        run.write_json(folder / "summary.json", self.summary)
+            write_bytes(folder / file, content)
+        write_json(folder / "summary.json", self.summary)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deblur_avatar import run
 from deblur_avatar.config.proof import MOTIONS, ProofParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.metrics import metric
@@ -24,6 +23,7 @@ from deblur_avatar.evaluation.proof_grid import (
     read_cells,
     schedules_of,
 )
+from deblur_avatar.files import write_bytes, write_json
 from deblur_avatar.pipeline.proof_strips import SHOWN, current_strips
 from deblur_avatar.reporting.charts import drawn
 from deblur_avatar.reporting.kept_strips import KeptStrips
@@ -71,8 +71,8 @@ class ProofReport:
         texts = {"index.html": self.page, "tables.md": self.tables, "headline.md": self.headline}
         files = {name: text.encode() for name, text in texts.items()}
         for file, content in (files | self.charts).items():
-            run.write_bytes(folder / file, content)
-        run.write_json(folder / "summary.json", self.summary)
+            write_bytes(folder / file, content)
+        write_json(folder / "summary.json", self.summary)
 
 
 def report_proof(plan: ProofParams, metrics: Path, strips: Path) -> ProofReport:
@@ -119,7 +119,7 @@ def report_proof(plan: ProofParams, metrics: Path, strips: Path) -> ProofReport:
     )
     first = [] if overall is None else [grid_table(overall, MAIN, "Report scenes, mean")]
     every = [*first, *(t for of in tables.values() for t in of), *windows, *converged, *stopped]
-    shown = [*first, *(tables[s][0] for s in whole if plan.scenes[s].kind != "tuning")]
+    shown = [*first, *(tables[s][0] for s in whole if plan.scenes[s] != "tuning")]
     return ProofReport(
         page=page,
         tables="\n".join(_markdown(given) for given in every),
@@ -146,12 +146,12 @@ def _grids(plan: ProofParams, found: Sequence[Found]) -> dict[str, Grid]:
 def _in_order(plan: ProofParams) -> list[str]:
     """Scenes that stand alone, report scenes first, those in real light next."""
     alone = [scene for scene in plan.scenes if scene not in _windowed(plan)]
-    return sorted(alone, key=lambda scene: KINDS.index(plan.scenes[scene].kind))
+    return sorted(alone, key=lambda scene: KINDS.index(plan.scenes[scene]))
 
 
 def _overall(plan: ProofParams, grids: Mapping[str, Grid]) -> Grid | None:
     """The mean over the report scenes, where there are several."""
-    of_report = [grid for scene, grid in grids.items() if plan.scenes[scene].kind == "report"]
+    of_report = [grid for scene, grid in grids.items() if plan.scenes[scene] == "report"]
     return pooled_grid(of_report) if len(of_report) > 1 else None
 
 
@@ -229,7 +229,7 @@ def _summary(plan: ProofParams, grids: Mapping[str, Grid]) -> dict[str, Any]:
     return {
         "scenes": {
             scene: {
-                "kind": plan.scenes[scene].kind,
+                "kind": plan.scenes[scene],
                 "grid": {
                     avatar: {m: numbers_of(grid.get(avatar, {}).get(m)) for m in MOTIONS}
                     for avatar in plan.avatars
@@ -241,9 +241,9 @@ def _summary(plan: ProofParams, grids: Mapping[str, Grid]) -> dict[str, Any]:
 
 
 def _about(plan: ProofParams, found: Sequence[Found]) -> str:
-    report = [scene for scene, of in plan.scenes.items() if of.kind == "report"]
+    report = [scene for scene, kind in plan.scenes.items() if kind == "report"]
     shown = len({one.cell.scene for one in found} & set(report) - _windowed(plan))
-    filmed = {one.cell.scene for one in found if plan.scenes[one.cell.scene].kind == "real_light"}
+    filmed = {one.cell.scene for one in found if plan.scenes[one.cell.scene] == "real_light"}
     real = f", and {len(filmed)} in real light" if filmed else ""
     avatars, motions = ({getattr(one.cell, of) for one in found} for of in ("avatar", "motion"))
     return (
@@ -261,7 +261,7 @@ def _about_scene(plan: ProofParams, found: Sequence[Found], scene: str) -> str:
         "real_light": "A report scene in real light: sums of a fast camera's frames, scored "
         "against those frames, from the filming camera alone; run once with frozen settings.",
         "tuning": "A tuning scene: settings were chosen on it, so its figures prove nothing.",
-    }[plan.scenes[scene].kind]
+    }[plan.scenes[scene]]
     here = [one.cell for one in found if one.cell.scene == scene]
     seeds = sorted({cell.seed for cell in here})
     schedule = schedules_of(found, scene)[0]

@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from deblur_avatar import run
 from deblur_avatar.config.runs import RunParams
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.costs import cost_files, read_costs, with_seconds
@@ -23,6 +22,7 @@ from deblur_avatar.evaluation.recovery import (
     pooled,
     standard_deviations,
 )
+from deblur_avatar.files import read_json, write_bytes, write_json
 from deblur_avatar.imaging.picture_files import read_picture, write_picture
 from deblur_avatar.reporting.avatar_pages import AvatarPage, best_page
 from deblur_avatar.reporting.charts import CHARTS, chart_files
@@ -102,9 +102,9 @@ class Report:
             f"{MEDIA}/{file}": content for file, content in (self.charts | self.avatars).items()
         }
         for file, content in (files | media).items():
-            run.write_bytes(folder / file, content)
-        run.write_json(folder / "summary.json", self.summary)
-        run.write_json(folder / "metrics.json", declared(self.summary["scenes"]))
+            write_bytes(folder / file, content)
+        write_json(folder / "summary.json", self.summary)
+        write_json(folder / "metrics.json", declared(self.summary["scenes"]))
         if self.strip is not None:
             write_picture(folder / MEDIA / "strip.png", self.strip)
 
@@ -280,7 +280,7 @@ def _is_moment(point: Any) -> bool:
 
 def _read(path: Path) -> dict[str, Any]:
     """A metrics file; empty if there is none."""
-    return run.read_json(path) if path.exists() else {}
+    return read_json(path) if path.exists() else {}
 
 
 def _summary(scenes: Mapping[str, Results]) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
 
-from deblur_avatar import run
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.files import read_json, write_bytes, write_json
 from deblur_avatar.imaging.picture_files import jpeg_bytes
 from deblur_avatar.reporting.picture_strips import INPUT, TRUTH, Strip
 
@@ -61,10 +61,10 @@ def keep_strips(folder: Path, strips: Sequence[Strip], fits: Mapping[str, float 
         raise ArtifactError(f"cannot write {folder}: {error}") from error
     for view, strip in enumerate(strips):
         for label, picture in strip.pictures.items():
-            run.write_bytes(_picture(folder, view, label), jpeg_bytes(picture))
+            write_bytes(_picture(folder, view, label), jpeg_bytes(picture))
     captions = [strip.caption for strip in strips]
     truth = any(TRUTH in strip.pictures for strip in strips)
-    run.write_json(folder / INDEX, {"captions": captions, "fits": dict(fits), "truth": truth})
+    write_json(folder / INDEX, {"captions": captions, "fits": dict(fits), "truth": truth})
 
 
 def read_strips(folder: Path) -> KeptStrips | None:
@@ -76,7 +76,7 @@ def read_strips(folder: Path) -> KeptStrips | None:
     if not (folder / INDEX).exists():
         return None
     try:
-        index = _Index.model_validate(run.read_json(folder / INDEX))
+        index = _Index.model_validate(read_json(folder / INDEX))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))

@@ -11,6 +11,7 @@ import torch
 
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 from deblur_avatar.rendering.rasterize import BACKEND_VARIABLE
 from deblur_avatar.training.resume import RunFolder, run_folder, run_key
 from deblur_avatar.training.schedule import ScheduleParams
@@ -36,8 +37,8 @@ class FittingStage:
         """
         facts = {name: value for name, value in measured.items() if name != "seconds"}
         spent = {"seconds": measured["seconds"], "peak_memory_mb": run.peak_memory_mb()}
-        run.write_json(metrics, facts)
-        run.write_json(cost, {**spent, "snapshots": self.folder.finish(self.out)})
+        write_json(metrics, facts)
+        write_json(cost, {**spent, "snapshots": self.folder.finish(self.out)})
 
 
 @contextmanager

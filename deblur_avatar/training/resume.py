@@ -26,9 +26,9 @@ from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.storage import Artifact
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.files import read_json, write_json
 from deblur_avatar.imaging.lpips import HEADS_VARIABLE, WEIGHTS_VARIABLE
 from deblur_avatar.readers.file_contents import add_contents
-from deblur_avatar.run import read_json, write_json
 
 logger = logging.getLogger(__name__)
 

@@ -1,17 +1,21 @@
 import os
 import sys
+import time
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pytest
 import torch
 from skimage.data import astronaut
 
+from deblur_avatar import run
 from deblur_avatar.body_estimation import landmarks
 from deblur_avatar.body_estimation.landmarks import (
     COUNT,
     Landmarks,
     detect_with_mediapipe,
 )
+from deblur_avatar.body_estimation.part_landmarks import detect_parts
 from deblur_avatar.body_estimation.pose_model import installed_model
 
 NOSE, LEFT_SHOULDER, RIGHT_SHOULDER = 0, 11, 12
@@ -75,3 +79,17 @@ def test_the_library_is_kept_quiet_and_standard_error_comes_back(capfd: pytest.C
     os.write(2, b"the system's\n")
     sys.stderr.flush()
     assert capfd.readouterr().err == "ours\nthe system's\n"
+
+
+def test_threads_that_begin_late_are_kept_quiet_too(frames, capfd, monkeypatch):
+    pytest.importorskip("mediapipe", reason="mediapipe is not installed")
+
+    def late(items: Iterable[int], _: str) -> Iterator[int]:
+        for item in items:
+            time.sleep(0.4)  # a second model is made, or the machine is busy
+            yield item
+
+    monkeypatch.setattr(run, "progress", late)
+    found = detect_with_mediapipe(frames[:1])
+    detect_parts(frames[:1], found.points, found.visibility)
+    assert capfd.readouterr().err == ""

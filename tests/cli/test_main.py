@@ -71,18 +71,30 @@ def test_a_command_that_is_interrupted_while_torch_is_loaded_says_so_too():
     assert done.stderr == STOPPED_WORDS
 
 
-def test_help_lists_all_subcommands_without_loading_torch():
+def help_without_torch(*words: str) -> str:
+    """What `--help` says; torch, which takes two seconds to load, is not loaded for it."""
     program = (
         "import sys; from deblur_avatar.cli.main import main\n"
-        "try: main(['--help'])\n"
+        f"try: main({[*words, '--help']})\n"
         "finally: print('torch' in sys.modules)"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True,
         env={"PYTHONPATH": str(ROOT), "COLUMNS": "100"},
     )  # fmt: skip
-    assert all(f"    {name}" in done.stdout for name in COMMANDS)
-    assert done.stdout.splitlines()[-1] == "False"
+    *said, loaded = done.stdout.splitlines()
+    assert loaded == "False"
+    return "\n".join(said)
+
+
+def test_help_lists_all_subcommands_without_loading_torch():
+    said = help_without_torch()
+    assert all(f"    {name}" in said for name in COMMANDS)
+
+
+@pytest.mark.parametrize("command", ["check", "sweep", "report", "completion"])
+def test_commands_that_compute_nothing_themselves_do_without_torch(command):
+    assert f"usage: deblur-avatar {command}" in help_without_torch(command)
 
 
 @pytest.mark.parametrize(

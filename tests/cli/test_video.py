@@ -16,8 +16,8 @@ from deblur_avatar.cli.main import main
 from deblur_avatar.config.reading import load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.evaluation.findings import Scale, judged
+from deblur_avatar.files import write_json
 from deblur_avatar.pipeline.clip import ClipParams
-from deblur_avatar.run import write_json
 from deblur_avatar.sources.monocular import MonocularParams
 from deblur_avatar.training.resume import Snapshot
 from tests.process_state import ended_here

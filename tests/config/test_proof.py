@@ -69,9 +69,10 @@ def test_a_cell_that_two_parts_ask_for_is_there_once():
         ({"avatars": {"plain": "clay", "networks": "paper"}}, "proof: avatars has no 'clay'"),
         ({"columns": {**PLAN["columns"], "paper": {"observations": "blurred", "method": "none"}}},
          "proof: methods has no 'none'"),
-        ({"scenes": {**PLAN["scenes"], "lying": {"kind": "report", "filmed": "here"}}},
+        ({"scenes": {**PLAN["scenes"], "lying": "report"}},
          "proof: scenes has no 'lying'"),
         ({"windows": {"leaping": {17: "moon"}}}, "proof.windows: there is no scene 'moon'"),
+        ({"filmed_at_root": ["studio", "moon"]}, "proof.filmed_at_root: there is no scene 'moon'"),
         ({"without_pictures": ["moon"]}, "proof.without_pictures: there is no scene 'moon'"),
     ],
 )  # fmt: skip

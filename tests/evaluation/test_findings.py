@@ -12,7 +12,7 @@ from deblur_avatar.evaluation.findings import (
     tell,
     worst,
 )
-from deblur_avatar.run import write_json
+from deblur_avatar.files import write_json
 
 FALLING = Scale(0.75, 0.5, "IoU", "look at the masks")
 RISING = Scale(0.15, 0.45, "share", "use a shorter exposure")

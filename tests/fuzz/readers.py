@@ -17,7 +17,6 @@ import torch
 from PIL import Image
 from scipy import sparse
 
-from deblur_avatar import run
 from deblur_avatar.animation.motion_files import read_motion
 from deblur_avatar.artifacts import (
     avatar,
@@ -48,6 +47,7 @@ from deblur_avatar.evaluation.costs import (
     read_costs,
     with_seconds,
 )
+from deblur_avatar.files import read_json, write_json
 from deblur_avatar.imaging import dstnet_weights
 from deblur_avatar.imaging.dstnet import Dstnet, DstnetParams
 from deblur_avatar.imaging.picture_files import read_mask, read_picture, write_light
@@ -146,7 +146,7 @@ def _avatar(folder: Path) -> None:
 
 def _write_numbers(folder: Path) -> None:
     cost = {"seconds": 1.5, "peak_memory_mb": 300.0}
-    run.write_json(folder / "fit.json", {"track": {"mean": 0.5}, "frames": [1, 2]} | cost)
+    write_json(folder / "fit.json", {"track": {"mean": 0.5}, "frames": [1, 2]} | cost)
 
 
 _RUN = RunParams(scene="s", observations="blurred", avatar="t", method="m")
@@ -154,19 +154,19 @@ _RUN = RunParams(scene="s", observations="blurred", avatar="t", method="m")
 
 def _write_metrics(folder: Path) -> None:
     content = {"scene": "s", "method": "m", "views": {"psnr_db": 20.5}}
-    run.write_json(folder / "s" / "m.json", content)
+    write_json(folder / "s" / "m.json", content)
 
 
 def _write_costs(folder: Path) -> None:
     cost = {"seconds": 1.5, "peak_memory_mb": 300.0}
     for stage in STAGES:
-        run.write_json(cost_files(folder, _RUN)[stage], cost)
+        write_json(cost_files(folder, _RUN)[stage], cost)
 
 
 def _write_moments(folder: Path) -> None:
     cost = {"seconds": 1.5, "snapshots": [{"iteration": 3, "seconds": 0.5}]}
     for stage in STAGES:
-        run.write_json(cost_files(folder, _RUN)[stage], cost)
+        write_json(cost_files(folder, _RUN)[stage], cost)
 
 
 def _moments(folder: Path) -> object:
@@ -178,7 +178,7 @@ def _write_snapshots(folder: Path) -> None:
     """What a run that was stopped has kept, less what is no number."""
     for iteration in (3, 6):
         (folder / f"snapshots/{iteration:06d}").mkdir(parents=True)
-        run.write_json(folder / f"snapshot_{iteration:06d}.json", {"seconds": 0.5})
+        write_json(folder / f"snapshot_{iteration:06d}.json", {"seconds": 0.5})
 
 
 def _write_views(folder: Path) -> None:
@@ -188,7 +188,7 @@ def _write_views(folder: Path) -> None:
         "camera": "a", "frame": 3, "novel_pose": True, "render": "render.png", "truth": "truth.png",
         "blurred": "input.png",
     }  # fmt: skip
-    run.write_json(folder / "views.json", [view, view | {"frame": 4}])
+    write_json(folder / "views.json", [view, view | {"frame": 4}])
 
 
 # --- artifacts ----------------------------------------------------------------------------------
@@ -572,7 +572,7 @@ def _write_zju_poses(folder: Path) -> None:
 READERS: tuple[Reader, ...] = (
     Reader("parameters", _write_parameters, lambda f: check_parameters(f / "params.yaml")),
     Reader("own avatar", _write_avatar, _avatar),
-    Reader("numbers of a stage", _write_numbers, lambda f: run.read_json(f / "fit.json")),
+    Reader("numbers of a stage", _write_numbers, lambda f: read_json(f / "fit.json")),
     Reader("metrics", _write_metrics, lambda f: read_results(f, {"s-m": _RUN})),
     Reader("costs", _write_costs, lambda f: read_costs(cost_files(f, _RUN))),
     Reader("moments", _write_moments, _moments),

@@ -135,7 +135,7 @@ def test_a_view_has_a_row_an_avatar_from_the_input_to_the_truth(metrics, tmp_pat
 
 
 def test_real_light_stands_between_and_in_no_mean(metrics, tmp_path):
-    scenes = PLAN["scenes"] | {"studio": {"kind": "real_light", "filmed": "root"}}
+    scenes = PLAN["scenes"] | {"studio": "real_light"}
     report = report_proof(small_plan(scenes=scenes), metrics, tmp_path / "strips")
     titles = [line for line in report.headline.splitlines() if line.startswith("### ")]
     assert [title.split()[1] for title in titles] == ["leaping:", "studio:"]

@@ -23,10 +23,10 @@ PROOF, DSTNET = ROOT / "experiments/proof", ROOT / "experiments/dstnet"
 UNTRAINED = "no weights are shipped yet: experiments/dstnet"
 PLAN = load_plan(PROOF / "params.yaml")
 SCENE = stages(PROOF / "scene.dvc.yaml")
-MADE = {name for name, scene in PLAN.scenes.items() if scene.kind == "report"}
-FILMED = {name for name, scene in PLAN.scenes.items() if scene.kind == "real_light"}
+MADE = {name for name, kind in PLAN.scenes.items() if kind == "report"}
+FILMED = {name for name, kind in PLAN.scenes.items() if kind == "real_light"}
 REPORT = MADE | FILMED
-TUNING = {name for name, scene in PLAN.scenes.items() if scene.kind == "tuning"}
+TUNING = {name for name, kind in PLAN.scenes.items() if kind == "tuning"}
 # Where a report scene may be named: its own entry, and what says which cells are fitted.
 ALLOWED = re.compile(
     r"scenes\.(?P<own>\w+)(\..*)?|proof\.scenes|proof\.windows(\..*)?|proof\.parts\.\w+\.scenes"

@@ -16,6 +16,7 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 
 
 def main(metrics: Path, params_file: Path) -> None:
@@ -37,7 +38,7 @@ def main(metrics: Path, params_file: Path) -> None:
 
         cases = run.progress(list(cases_of(params)), "self-checks")
         rows = [judge_case(case, setups[case.method], load_scene) for case in cases]
-        run.write_json(metrics, confusion(rows))
+        write_json(metrics, confusion(rows))
 
 
 if __name__ == "__main__":

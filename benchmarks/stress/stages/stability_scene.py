@@ -8,6 +8,7 @@ from benchmarks.stress.params import StabilitySceneParams
 from benchmarks.stress.scene import film_scene, measure_ceilings
 from deblur_avatar import run
 from deblur_avatar.config.reading import load_params
+from deblur_avatar.files import write_json
 
 
 def main(scene: str, out: Path, params_file: Path) -> None:
@@ -20,7 +21,7 @@ def main(scene: str, out: Path, params_file: Path) -> None:
         ceilings = measure_ceilings(clip, reference, body, setup, params.networks)
         clip.save(out / "clip")
         reference.save(out / "reference")
-        run.write_json(out / "ceiling.json", ceilings)
+        write_json(out / "ceiling.json", ceilings)
 
 
 if __name__ == "__main__":

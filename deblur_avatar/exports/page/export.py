@@ -11,11 +11,11 @@ from typing import Annotated, ClassVar, Literal
 import jinja2
 from pydantic import Field
 
-from deblur_avatar import run as stage
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.page.content import Shown, page_payload
 from deblur_avatar.exports.rigged import rigged_avatar
 from deblur_avatar.exports.shown_motion import MotionExport, shown_motions
+from deblur_avatar.files import write_bytes
 
 FOLDER = Path(__file__).parent
 SCRIPTS = (
@@ -37,7 +37,7 @@ class PageExport(MotionExport):
 
     def export(self, run: FittedRun, path: Path) -> None:
         """Write the page of a run, and of the one beside it, if there is one."""
-        stage.write_bytes(path, self.page([run] if run.beside is None else [run, run.beside]))
+        write_bytes(path, self.page([run] if run.beside is None else [run, run.beside]))
 
     def page(self, runs: list[FittedRun]) -> bytes:
         """The whole file."""
