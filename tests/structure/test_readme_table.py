@@ -3,7 +3,7 @@ import subprocess
 import pytest
 
 from tests.structure.pipeline_files import ROOT
-from tests.structure.readme_table import BEGIN, BLOCKS, END, README, with_table
+from tests.structure.readme_table import BEGIN, BLOCKS, END, copied, first_section, with_table
 
 
 def test_the_table_goes_between_its_marks_and_nothing_else_changes():
@@ -19,14 +19,22 @@ def test_missing_or_doubled_marks_are_refused(readme):
         with_table(readme, "| a |")
 
 
-@pytest.mark.parametrize(("table", "begin", "end"), BLOCKS, ids=["results", "proof"])
-def test_the_readme_shows_what_was_reported(table, begin, end):
+def test_the_first_section_ends_where_the_second_begins():
+    assert first_section("### Mean\n\n| a |\n\n### One\n\n| b |\n") == "### Mean\n\n| a |\n"
+    assert first_section("words\n\n### Mean\n\n| a |\n\n### One\n") == (
+        "words\n\n### Mean\n\n| a |\n"
+    )
+    assert first_section("words\n") == "words\n"
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=["readme: proof", "proof", "results"])
+def test_documents_show_what_was_reported(block):
     """What is on disk, or committed: who reruns the pipeline gets times of another machine."""
-    command = ["git", "show", f"HEAD:{table.relative_to(ROOT)}"]
+    command = ["git", "show", f"HEAD:{block.report.relative_to(ROOT)}"]
     committed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    tables = [table.read_text()] if table.is_file() else []
-    tables += [committed.stdout] if committed.returncode == 0 else []
-    if not tables:
-        pytest.skip(f"no {table.name} yet: it is made by `make repro` or `make proof`")
-    readme = README.read_text()
-    assert readme in [with_table(readme, text, begin, end) for text in tables], "run `make readme`"
+    reports = [block.report.read_text()] if block.report.is_file() else []
+    reports += [committed.stdout] if committed.returncode == 0 else []
+    if not reports:
+        pytest.skip(f"no {block.report.name} yet: it is made by `make repro` or `make proof`")
+    document = block.document.read_text()
+    assert document in [copied(block, text) for text in reports], "run `make readme`"
