@@ -1,7 +1,7 @@
 """What a scored camera shows of the surface that the training camera saw, and in which light.
 
     python -m benchmarks.seen_surface [--scene courtyard_two] [--methods lean agnostic]
-                                      [--picture FILE] [--json FILE]
+                                      [--folder data] [--picture FILE] [--json FILE]
 
 PSNR of the seen surface is a mean over these pixels alone. Prints JSON, a camera at a time: which
 share of the person they are, how bright they truly are (mean of encoded values, of 1), and by

@@ -68,21 +68,25 @@ class SampledChecks(type(jaxtyping.config)):  # type: ignore[misc]
     what the ones before called, and checking each takes a fifth of the time of such tests.
     """
 
-    calls = 0  # of functions with annotated shapes
+    calls = 0  # of functions with annotated shapes, the fixtures' included
+    switched_off = False
 
     @property
     def jaxtyping_disable(self) -> bool:
         """Asked by every call whether it is not checked."""
         self.calls += 1
-        return self.calls > ALL_CHECKED and self.calls % CHECKED_EVERY != 0
+        left_out = self.calls > ALL_CHECKED and self.calls % CHECKED_EVERY != 0
+        return self.switched_off or left_out
 
     @jaxtyping_disable.setter
     def jaxtyping_disable(self, value: bool) -> None:
-        pass
+        self.switched_off = value
 
 
 if os.environ.get("DEBLUR_AVATAR_CHECK_SHAPES") == "1":
+    wanted = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.__class__ = SampledChecks
+    jaxtyping.config.jaxtyping_disable = wanted
 
 
 @pytest.hookimpl(tryfirst=True)

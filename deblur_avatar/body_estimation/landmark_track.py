@@ -48,10 +48,10 @@ class CleanTrack:
 
 
 def sizes(points: Float[Tensor, "F L 2"], *, any_pose: bool) -> Float[Tensor, " F"]:
-    """A person's size in each frame: the height of the box around her landmarks.
+    """A person's size in each frame: the height of the box around points of hers.
 
     Args:
-        points: pixels, or metres across the view.
+        points: landmarks or joints, right and down: pixels, or metres across the view.
         any_pose: she may lie: the longer side of the box.
     """
     sides = points.amax(1) - points.amin(1)

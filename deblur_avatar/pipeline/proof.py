@@ -57,7 +57,7 @@ class ProofReport:
 
     page: str
     tables: str
-    headline: str  # of them those that README.md shows
+    headline: str  # of them those that docs/results.md shows
     summary: dict[str, Any]
     charts: dict[str, bytes]  # files by name
     log: str

@@ -186,7 +186,7 @@ def _avatars(
 
 
 def _main_tables(scenes: Mapping[str, Results], repeated: Table | None) -> dict[str, Table]:
-    """What stands in the README and on a terminal: means first, where there are any."""
+    """What stands in docs/results.md and on a terminal: means first, where there are any."""
     main = {} if repeated is None else {repeated.title: repeated}
     return main | {s: results_table(found, short_columns(found)) for s, found in scenes.items()}
 

@@ -178,7 +178,7 @@ def shown_with_spread(
 
 
 def markdown(table: Table) -> str:
-    """The table for a README: best in bold, second best in italics.
+    """The table for a page of documents: best in bold, second best in italics.
 
     Rows are names, set as code, where the table says what they are names of.
     """
