@@ -10,13 +10,13 @@ repro preprocess@<scene>`; seconds.
 """
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from benchmarks.record import print_record
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.evaluation.body_silhouette import INSIDE
 from deblur_avatar.evaluation.scene_measures import mask_body_iou
@@ -62,10 +62,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=DATA)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    text = json.dumps(measure(options.folder), indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record(measure(options.folder), options.json)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ hour of one core for three people, 4 GB; no avatar.
 """
 
 import argparse
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -24,6 +23,7 @@ from torch import Tensor
 
 from benchmarks import hands_and_head
 from benchmarks.hands_and_head import SHAPE, filmed
+from benchmarks.record import print_record
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
@@ -162,10 +162,7 @@ def main() -> None:
     torch.set_num_threads(1)
     rows = measure(Body.load(options.body), options.first, options.people, options.frames)
     about = {"first": options.first, "people": options.people, "frames": options.frames}
-    text = json.dumps({**about, "exercises": rows}, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record({**about, "exercises": rows}, options.json)
 
 
 if __name__ == "__main__":

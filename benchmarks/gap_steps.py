@@ -11,7 +11,6 @@ wrong while poses were wrong. Needs `make proof`; a minute a scene, no fit.
 """
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
+from benchmarks.record import print_record
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
@@ -143,10 +143,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    text = json.dumps(table(options.scenes, options.data), indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record(table(options.scenes, options.data), options.json)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ kernels it is asked for. The scene is a person of capsules. Rasterized is by gsp
 """
 
 import argparse
-import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -20,6 +19,7 @@ from torch.autograd import DeviceType  # type: ignore[attr-defined]
 from torch.profiler import ProfilerActivity, profile
 
 from benchmarks.rasterizer import machine
+from benchmarks.record import print_record
 from benchmarks.step_profile import TURN, WARM_UP, Step
 from benchmarks.training_step import begin, milliseconds, observations
 from deblur_avatar.avatars import knn_smoothness
@@ -100,9 +100,7 @@ def main(json_file: Path | None) -> None:
         raise SystemExit("this measures steps on a GPU, and torch sees none here")
     with stage("benchmark", "gpu_step", 0):
         found = {"machine": machine(4.1), "rows": measure(torch.device("cuda"))}
-    print(json.dumps(found, indent=1))
-    if json_file:
-        json_file.write_text(json.dumps(found, indent=1) + "\n")
+    print_record(found, json_file, indent=1)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ quarter of an hour beside other work, 3 GB; no avatar.
 """
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from benchmarks.record import print_record
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.poses import Poses
@@ -170,10 +170,7 @@ def main() -> None:
         for name, shutter in SHUTTERS.items()
     }
     about = {"frames": options.frames, "people": options.people}
-    text = json.dumps({**about, "degrees": rows}, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record({**about, "degrees": rows}, options.json)
 
 
 if __name__ == "__main__":

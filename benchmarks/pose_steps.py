@@ -11,7 +11,6 @@ step loses how much. Needs `dvc repro preprocess@<scene>`; 3 minutes, no avatar.
 """
 
 import argparse
-import json
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from benchmarks.record import print_record
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.clip import BlurryClip
 from deblur_avatar.artifacts.observations import Observations
@@ -141,10 +141,7 @@ def main() -> None:
     for name, parts in FITS.items():
         given, seen = with_truth(clip, body, person, truth, parts)
         rows[name] = wrong(given, person=seen)
-    text = json.dumps({"scene": options.scene, "frames": len(clip.timestamps), **rows}, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record({"scene": options.scene, "frames": len(clip.timestamps), **rows}, options.json)
 
 
 if __name__ == "__main__":

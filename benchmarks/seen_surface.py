@@ -11,7 +11,6 @@ Needs `dvc repro fusion@<scene>-<method>`; a minute.
 """
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -23,6 +22,7 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from benchmarks.record import print_record
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
@@ -118,10 +118,7 @@ def main() -> None:
         }
         for camera in cameras
     }
-    text = json.dumps({names[camera]: of_camera(of[camera]) for camera in cameras}, indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record({names[camera]: of_camera(of[camera]) for camera in cameras}, options.json)
     if options.picture:
         cv2.imwrite(str(options.picture), picture(of[cameras[-1]])[..., ::-1])
 

@@ -14,7 +14,6 @@ Filming takes longer than a fit; `--scenes` is a folder where films are kept.
 """
 
 import argparse
-import json
 import statistics
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any
 import torch
 
 from benchmarks.rasterizer import machine
+from benchmarks.record import print_record
 from benchmarks.stress.fit import FitSetup, Fitted, fit_method
 from benchmarks.stress.input import prepare
 from benchmarks.stress.params import StabilitySceneParams
@@ -117,10 +117,7 @@ def main() -> None:
     clip = filmed(options.scene, options.scenes)
     observations = seen(clip, setups["lean"], disturbed=options.disturbed)
     fits = in_turns(observations, setups, options.rounds)
-    text = json.dumps(where | summary(observations, fits), indent=2)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n")
+    print_record(where | summary(observations, fits), options.json)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ the share with it, which is rather too low.
 """
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Iterable
@@ -33,6 +32,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.rasterizer import machine
+from benchmarks.record import print_record
 from benchmarks.step_profile import (
     TURN,
     WARM_UP,
@@ -291,9 +291,7 @@ def main(json_file: Path | None, methods: Iterable[str]) -> None:
     where = machine(4.1)
     with stage("benchmark", "training_step", 0):  # as stages do: memory kept, equal bits
         found = {"machine": where, **measure(methods)}
-    print(json.dumps(found, indent=1))
-    if json_file:
-        json_file.write_text(json.dumps(found, indent=1) + "\n")
+    print_record(found, json_file, indent=1)
 
 
 if __name__ == "__main__":
