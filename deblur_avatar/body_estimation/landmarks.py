@@ -5,9 +5,10 @@ and masks of the user's own elsewhere. Landmarks are MediaPipe's 33 (BlazePose's
 with the centre of the top left pixel at (0.5, 0.5).
 """
 
-import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -18,8 +19,6 @@ from deblur_avatar import run
 from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
 from deblur_avatar.body_estimation.pose_model import COMPLEXITY, PoseModel, installed_model
 from deblur_avatar.body_estimation.quiet import quiet_stderr, wait_until_started
-
-logger = logging.getLogger(__name__)
 
 COUNT = 33  # landmarks of MediaPipe's pose model
 
@@ -37,8 +36,19 @@ class Landmarks:
     parts: PartLandmarks | None = None  # hands and face, where they were looked for
 
 
+class Sighting(NamedTuple):
+    """One person in one picture, as `Landmarks` has her."""
+
+    points: Float[Tensor, "L 2"]
+    visibility: Float[Tensor, " L"]
+    world: Float[Tensor, "L 3"]
+    matte: UInt8[Tensor, "H W"]
+
+
 # Finds one person in consecutive frames of one still camera.
 PersonDetector = Callable[[UInt8[Tensor, "F H W 3"]], Landmarks]
+# The same, picture by picture.
+PersonFinder = Callable[[UInt8[Tensor, "H W 3"]], Sighting | None]
 
 
 def detect_with_mediapipe(
@@ -53,35 +63,74 @@ def detect_with_mediapipe(
         frames: consecutive, of one camera.
         model: None for the largest that is installed; `Landmarks.model` says which it was.
     """
+    model = model or installed_model()
     count, height, width = frames.shape[:3]
+    with pose_finder(model, follows=True) as find:
+        sightings = (find(frames[i]) for i in run.progress(range(count), "landmarks and mattes"))
+        return landmarks_of(sightings, (count, height, width), model)
+
+
+def landmarks_of(
+    sightings: Iterable[Sighting | None], size: tuple[int, int, int], model: PoseModel | None
+) -> Landmarks:
+    """Who was seen, frame after frame.
+
+    Args:
+        sightings: None where nobody was found.
+        size: how many frames, their height and width.
+        model: that saw her.
+    """
+    count = size[0]
     found = torch.zeros(count, dtype=torch.bool)
     points, visibility = torch.zeros(count, COUNT, 2), torch.zeros(count, COUNT)
     world = torch.zeros(count, COUNT, 3)
-    mattes = torch.zeros(count, height, width, dtype=torch.uint8)
-    model = model or installed_model()
+    mattes = torch.zeros(*size, dtype=torch.uint8)
+    for index, sighting in enumerate(sightings):
+        if sighting is not None:
+            found[index] = True
+            points[index], visibility[index], world[index], mattes[index] = sighting
+    return Landmarks(found, points, visibility, mattes, world, model)
+
+
+@contextmanager
+def pose_finder(model: PoseModel, *, follows: bool) -> Iterator[PersonFinder]:
+    """MediaPipe's pose model.
+
+    Args:
+        model: which size of it.
+        follows: pictures are consecutive, and a person is looked for where she was, as long as she
+            is there; otherwise anew in each.
+    """
     with quiet_stderr():
         from mediapipe.python.solutions.pose import Pose  # takes a second, so only when asked
 
         detector = Pose(
+            static_image_mode=not follows,
             model_complexity=COMPLEXITY[model],
             smooth_landmarks=False,
             enable_segmentation=True,
             smooth_segmentation=False,
         )
         wait_until_started(detector)
+
+    def find(picture: UInt8[Tensor, "H W 3"]) -> Sighting | None:
+        height, width = picture.shape[:2]
+        with quiet_stderr():
+            result = detector.process(np.ascontiguousarray(picture.numpy()))
+        if result.pose_landmarks is None or result.segmentation_mask is None:
+            return None
+        marks = result.pose_landmarks.landmark
+        world = torch.zeros(COUNT, 3)
+        if result.pose_world_landmarks is not None:
+            guess = result.pose_world_landmarks.landmark
+            world = torch.tensor([(mark.x, mark.y, mark.z) for mark in guess])
+        mask = torch.from_numpy(result.segmentation_mask.copy())
+        return Sighting(
+            torch.tensor([(mark.x * width, mark.y * height) for mark in marks]),
+            torch.tensor([mark.visibility for mark in marks]),
+            world,
+            (mask * 255).round().clamp(0, 255).to(torch.uint8),
+        )
+
     with detector:
-        for index in run.progress(range(count), "landmarks and mattes"):
-            with quiet_stderr():
-                result = detector.process(np.ascontiguousarray(frames[index].numpy()))
-            if result.pose_landmarks is None or result.segmentation_mask is None:
-                continue
-            marks = result.pose_landmarks.landmark
-            found[index] = True
-            points[index] = torch.tensor([(mark.x * width, mark.y * height) for mark in marks])
-            visibility[index] = torch.tensor([mark.visibility for mark in marks])
-            if result.pose_world_landmarks is not None:
-                guess = result.pose_world_landmarks.landmark
-                world[index] = torch.tensor([(mark.x, mark.y, mark.z) for mark in guess])
-            mask = torch.from_numpy(result.segmentation_mask.copy())
-            mattes[index] = (mask * 255).round().clamp(0, 255).to(torch.uint8)
-    return Landmarks(found, points, visibility, mattes, world, model)
+        yield find

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from deblur_avatar.body_estimation.closer_look import look_closer
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
 
 logger = logging.getLogger(__name__)
@@ -23,11 +24,17 @@ SURE = 0.5  # visibility from which a landmark is believed
 def detect_main_person(
     frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector
 ) -> tuple[Landmarks, int]:
-    """Find the larger, longer-tracked of two people.
+    """Find the larger, longer-tracked of two people, and look closer where she was not found.
 
     Returns:
         That person, and how many people there are (no more than two are looked for).
     """
+    person, count = _larger(frames, detect)
+    person = look_closer(frames, person)
+    return person, max(count, int(person.found.any()))
+
+
+def _larger(frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector) -> tuple[Landmarks, int]:
     first = detect(frames)
     if not first.found.any():
         return first, 0

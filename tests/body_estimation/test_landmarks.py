@@ -14,6 +14,7 @@ from deblur_avatar.body_estimation.landmarks import (
     COUNT,
     Landmarks,
     detect_with_mediapipe,
+    pose_finder,
 )
 from deblur_avatar.body_estimation.part_landmarks import detect_parts
 from deblur_avatar.body_estimation.pose_model import installed_model
@@ -52,6 +53,17 @@ def test_a_frame_without_a_person_is_flagged_and_empty(detected: Landmarks):
     assert detected.mattes[1].max() == 0
     assert detected.points[1].abs().max() == 0
     assert detected.visibility[1].max() == 0
+
+
+def test_pictures_without_order_show_the_same_person_each_by_itself(detected, frames):
+    with pose_finder("full", follows=False) as find:
+        seen, nobody, smaller = find(frames[0]), find(frames[1]), find(frames[2, 20:])
+    assert nobody is None
+    assert (seen.points - detected.points[0])[NOSE].norm() < 8
+    assert (smaller.points - seen.points + torch.tensor([0.0, 20.0]))[NOSE].norm() < 8
+    assert seen.matte.shape == frames.shape[1:3]
+    assert seen.matte[60, 112] > 200
+    assert seen.world.abs().max() > 0.1
 
 
 def test_the_largest_model_that_is_installed_is_taken(detected, frames, monkeypatch):

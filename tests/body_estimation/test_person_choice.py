@@ -1,7 +1,11 @@
+from contextlib import contextmanager
+from dataclasses import replace
+
 import pytest
 import torch
 
-from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+from deblur_avatar.body_estimation import closer_look
+from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 
 FRAMES, HEIGHT, WIDTH = 10, 60, 120
@@ -61,3 +65,30 @@ def test_nobody_is_nobody():
 
 def test_someone_who_passes_by_is_no_second_person():
     assert detect_main_person(film(30, 50, 1), leftmost)[1] == 1
+
+
+def test_who_was_missed_is_looked_at_closer(monkeypatch):
+    frames = film(40, 0)
+
+    @contextmanager
+    def pose_finder(model, *, follows):
+        def find(picture):
+            one = leftmost(picture[None])
+            if not one.found[0] or picture.shape[1] == WIDTH:
+                return None
+            return Sighting(one.points[0], one.visibility[0], torch.zeros(COUNT, 3), one.mattes[0])
+
+        yield find
+
+    def detect(frames):
+        whole = leftmost(frames)
+        nobody = torch.zeros(len(frames), dtype=torch.bool)
+        return replace(
+            whole, found=nobody, visibility=0 * whole.visibility, model="heavy",
+            world=torch.zeros(len(frames), COUNT, 3),
+        )  # fmt: skip
+
+    monkeypatch.setattr(closer_look, "pose_finder", pose_finder)
+    person, count = detect_main_person(frames, detect)
+    assert count == 1
+    assert person.found.all()
