@@ -9,9 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.animation.driving_motion import BodyMotion, turn_between
-from deblur_avatar.animation.placement import mean_pelvis, stage_rotation
+from deblur_avatar.animation.placement import stage_rotation
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
+from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
@@ -47,7 +48,7 @@ def captured_motion(
     after = after.clamp(max=len(times) - 1)
     gap = (times[after] - times[before]).clamp(min=1e-9)
     share = ((wanted - times[before]) / gap).clamp(0, 1).float()
-    stage = stage_rotation(filmed, mean_pelvis(body, filmed), viewmat)
+    stage = stage_rotation(posed(body, filmed).joints, viewmat)
     orient = matrix_to_axis_angle(stage.T @ axis_angle_to_matrix(filmed.global_orient))
     place = filmed.transl @ stage
     return BodyMotion(

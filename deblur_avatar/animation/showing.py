@@ -62,11 +62,11 @@ def plan_shot(
     Raises:
         ValueError: if the motion cannot be shown from this camera.
     """
-    viewmat = level_view(body, filmed, viewmat)
     poses = place(motion, body, filmed, viewmat, turns=turns, travel=travel)
+    level = level_view(body, filmed, viewmat)
     points = _surfaces(body, poses)
-    K = framed_intrinsics(points, K, viewmat, size, margin)
-    return Shot(poses, Camera(K, viewmat, size, size))
+    K = framed_intrinsics(points, K, level, size, margin)
+    return Shot(poses, Camera(K, level, size, size))
 
 
 def render_shot(

@@ -91,13 +91,13 @@ def _skeleton(canvas: Picture, observations: Observations, position: int, scale:
 def _from_above(observations: Observations) -> Picture:
     """Cameras, the way of the pelvis, and which way the body faced."""
     poses, cameras = observations.poses, observations.cameras
-    pelvis = posed(observations.body, poses).joints[:, 0]
+    joints = posed(observations.body, poses).joints
     viewmat = cameras.viewmats[observations.train_camera]
     try:
-        stage = stage_rotation(poses, pelvis.mean(0), viewmat)
+        stage = stage_rotation(joints, viewmat)
     except ValueError:  # seen from straight above: any direction is as good
         stage = torch.eye(3)
-    way = (pelvis @ stage)[:, [0, 2]].numpy()
+    way = (joints[:, 0] @ stage)[:, [0, 2]].numpy()
     eyes = (camera_centres(cameras.viewmats) @ stage)[:, [0, 2]].numpy()
     ahead = (cameras.viewmats[:, 2, :3] @ stage)[:, [0, 2]].numpy()
     facing = (axis_angle_to_matrix(poses.global_orient)[..., 2] @ stage)[:, [0, 2]].numpy()

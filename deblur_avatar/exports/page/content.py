@@ -3,7 +3,6 @@
 What a page must hold comes first; frames are as many and as good as the room that is left allows.
 """
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,12 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.animation.placement import mean_pelvis, stage_rotation
 from deblur_avatar.animation.retargeting import LOOSE, MIN_BEND, STANDING
 from deblur_avatar.animation.rig_names import NAMES as RIG_NAMES
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.page.packing import (
     Packed,
@@ -30,6 +26,7 @@ from deblur_avatar.exports.page.packing import (
 )
 from deblur_avatar.exports.rigged import RiggedAvatar
 from deblur_avatar.exports.shown_motion import ShownMotion
+from deblur_avatar.exports.upright import stage_of
 from deblur_avatar.geometry.cameras import camera_centres
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, axis_angle_to_quat
 from deblur_avatar.geometry.skinning import invert_rigid
@@ -150,7 +147,7 @@ def _scene(shown: Shown) -> dict[str, Any]:
     observations = shown.run.observations
     camera = observations.camera
     points = _places(shown, shown.motions[0])
-    world_from_stage = _world_from_stage(shown.run, observations.poses, points.mean(0))
+    _, world_from_stage = stage_of(shown.run)
     on_stage = points @ world_from_stage
     middle = (on_stage.min(0).values + on_stage.max(0).values) / 2
     own = _half_size(on_stage - middle)
@@ -175,20 +172,9 @@ def _scene(shown: Shown) -> dict[str, Any]:
 
 
 def _placement(run: FittedRun) -> dict[str, list[float]]:
-    """Where and facing whom the person does what was not filmed, as `animation.placement.place`."""
-    filmed = dataclasses.replace(run.observations.poses, betas=run.avatar.betas)
-    anchor = mean_pelvis(run.observations.body, filmed)
-    world_from_stage = _world_from_stage(run, filmed, anchor)
+    """Where and facing whom the person does what was not filmed."""
+    anchor, world_from_stage = stage_of(run)
     return {"anchor": anchor.tolist(), "world_from_stage": world_from_stage.flatten().tolist()}
-
-
-def _world_from_stage(
-    run: FittedRun, filmed: Poses, pelvis: Float[Tensor, " 3"]
-) -> Float[Tensor, "3 3"]:
-    try:
-        return stage_rotation(filmed, pelvis, run.observations.camera.viewmat)
-    except ValueError as error:
-        raise ConfigError(f"export: {error}") from None
 
 
 def _half_size(points: Float[Tensor, "points 3"]) -> Float[Tensor, " 2"]:
