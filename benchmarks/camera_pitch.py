@@ -19,9 +19,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from benchmarks.record import print_record
-from deblur_avatar.animation.placement import up_direction
+from deblur_avatar.animation.stage import stage_of_clip
 from deblur_avatar.artifacts.observations import Observations
-from deblur_avatar.bodies.posed_body import posed
 
 DATA = Path("data")
 GRAVITY_UP = torch.tensor([0.0, 0.0, 1.0])  # of the calibrated world
@@ -62,7 +61,7 @@ def measure(calibrated: Observations, clips: list[Path]) -> dict[str, Any]:
     for clip in clips:
         view = cameras.viewmats[cameras.names.index(clip.name)]
         seen = Observations.load(clip / "data" / "preprocess" / clip.name / "blurred")
-        told = up_direction(posed(seen.body, seen.poses).joints, seen.camera.viewmat)
+        told = stage_of_clip(seen, seen.poses.betas).up
         rows[clip.name] = row(told, view[:3, :3] @ GRAVITY_UP)
     return rows
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from deblur_avatar.animation.motion_files import read_motion
 from deblur_avatar.animation.showing import plan_shot, render_shot
+from deblur_avatar.animation.stage import stage_of
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
@@ -90,9 +91,12 @@ def animate(
     steps = read_motion(str(motion), model.body, betas, fps=fps, start=start, seconds=seconds)
     eye, up = torch.tensor([0.0, 0.0, CAMERA_DISTANCE]), torch.tensor([0.0, 1.0, 0.0])
     K = torch.tensor([[2.0 * size, 0, size / 2], [0, 2.0 * size, size / 2], [0, 0, 1]])
+    viewmat = look_at(eye, torch.zeros(3), up)
+    joints = posed(model.body, rest_pose(model)).joints
     try:
+        stage = stage_of(joints, viewmat, world_is_a_cameras=False)
         shot = plan_shot(
-            steps, model.body, rest_pose(model), K, look_at(eye, torch.zeros(3), up),
+            steps, model.body, betas, stage, K, viewmat,
             size=size, margin=MARGIN, turns=turns, travel=travel,
         )  # fmt: skip
     except ValueError as error:

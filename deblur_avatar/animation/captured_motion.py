@@ -1,41 +1,31 @@
 """Captured motion: the one a person was filmed in, for any avatar to be shown in.
 
 Frames may be unevenly spaced; what comes out is at an even rate, upright on the stage of
-`placement`.
+`stage.py`.
 """
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from deblur_avatar.animation.driving_motion import BodyMotion, turn_between
-from deblur_avatar.animation.placement import stage_rotation
-from deblur_avatar.artifacts.body import Body
+from deblur_avatar.animation.stage import Stage
 from deblur_avatar.artifacts.motion import Motion
-from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
 def captured_motion(
-    motion: Motion,
-    body: Body,
-    viewmat: Float[Tensor, "4 4"],
-    fps: float,
-    start: float,
-    seconds: float,
+    motion: Motion, stage: Stage, fps: float, start: float, seconds: float
 ) -> BodyMotion:
     """Take a fitted motion from the world it was filmed in to the stage.
 
     Args:
         motion: of every frame; its centre poses are used.
-        body: whose.
-        viewmat: of the camera that filmed it.
+        stage: where it was filmed.
         fps: frames a second wanted.
         start: seconds after the first frame.
         seconds: how long; a motion that ends earlier gives fewer frames.
 
     Raises:
-        ValueError: if the motion ends before `start`, or the camera looked along the vertical.
+        ValueError: if the motion ends before `start`.
     """
     filmed, times = motion.centre, motion.timestamps.double()
     times = times - times[0]
@@ -48,9 +38,9 @@ def captured_motion(
     after = after.clamp(max=len(times) - 1)
     gap = (times[after] - times[before]).clamp(min=1e-9)
     share = ((wanted - times[before]) / gap).clamp(0, 1).float()
-    stage = stage_rotation(posed(body, filmed).joints, viewmat)
-    orient = matrix_to_axis_angle(stage.T @ axis_angle_to_matrix(filmed.global_orient))
-    place = filmed.transl @ stage
+    stage_from_world = stage.world_from_stage.T
+    orient = matrix_to_axis_angle(stage_from_world @ axis_angle_to_matrix(filmed.global_orient))
+    place = filmed.transl @ stage.world_from_stage
     return BodyMotion(
         fps=fps,
         global_orient=turn_between(orient[before], orient[after], share),

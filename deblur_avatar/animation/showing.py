@@ -13,6 +13,7 @@ from torch import Tensor
 
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.placement import framed_intrinsics, level_view, place
+from deblur_avatar.animation.stage import Stage
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
@@ -37,7 +38,8 @@ class Shot:
 def plan_shot(
     motion: BodyMotion,
     body: Body,
-    filmed: Poses,
+    betas: Float[Tensor, " B"],
+    stage: Stage,
     K: Float[Tensor, "3 3"],
     viewmat: Float[Tensor, "4 4"],
     *,
@@ -51,7 +53,8 @@ def plan_shot(
     Args:
         motion: what to do.
         body: the filmed person's.
-        filmed: poses of the person while it was filmed; its shape is kept.
+        betas: her shape.
+        stage: where she was filmed.
         K: of the camera that filmed it; only its crop and scale change.
         viewmat: of that camera; only the place counts, real ones often hang askew.
         size: of the pictures, pixels.
@@ -62,8 +65,8 @@ def plan_shot(
     Raises:
         ValueError: if the motion cannot be shown from this camera.
     """
-    poses = place(motion, body, filmed, viewmat, turns=turns, travel=travel)
-    level = level_view(body, filmed, viewmat)
+    poses = place(motion, body, betas, stage, turns=turns, travel=travel)
+    level = level_view(stage, viewmat)
     points = _surfaces(body, poses)
     K = framed_intrinsics(points, K, level, size, margin)
     return Shot(poses, Camera(K, level, size, size))

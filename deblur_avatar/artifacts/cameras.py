@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
@@ -30,6 +31,12 @@ class Cameras(Artifact):
         if len(self.names) != len(self.Ks):
             raise ValueError(f"{len(self.Ks)} cameras have {len(self.names)} names")
         check_cameras(self.Ks, self.viewmats)
+
+    @property
+    def world_is_a_cameras(self) -> bool:
+        """Whether the world's axes are those of one of the cameras, so that none is gravity's."""
+        axes = torch.eye(3).to(self.viewmats)
+        return bool((self.viewmats[:, :3, :3] == axes).all(dim=(1, 2)).any())
 
     def camera(self, index: int) -> Camera:
         """One of them."""

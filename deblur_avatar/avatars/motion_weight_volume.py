@@ -142,7 +142,7 @@ def bone_prior(
     joints: Float[Tensor, "J 3"],
     parents: tuple[int, ...],
     names: Sequence[str],
-) -> Float[Tensor, "channels *batch"]:
+) -> Float[Tensor, " channels *batch"]:
     """A Gaussian round every bone, by the joint that carries it, and last what is left for air."""
     count = len(parents)
     children = [[j for j, parent in enumerate(parents) if parent == k] for k in range(count)]

@@ -5,12 +5,15 @@ An exporter is its options with one method. A new one is a module with such a cl
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
+from deblur_avatar.animation.stage import Stage, stage_of_clip
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
+from deblur_avatar.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,18 @@ class FittedRun:
     observations: Observations
     sharp: Observations | None = None
     beside: "FittedRun | None" = None
+
+    @cached_property
+    def stage(self) -> Stage:
+        """Where the person was filmed, found once for all that is written.
+
+        Raises:
+            ConfigError: if the camera looked along her vertical.
+        """
+        try:
+            return stage_of_clip(self.observations, self.avatar.betas)
+        except ValueError as error:
+            raise ConfigError(f"export: {error}") from None
 
 
 def sharp_observations(folder: Path) -> Observations | None:

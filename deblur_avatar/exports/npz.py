@@ -38,11 +38,7 @@ class NpzExport(Params):
             raise ConfigError("export: a motion of one frame has no frame rate")
         seconds = float(times[-1] - times[0])
         fps = (len(times) - 1) / seconds
-        viewmat = observations.cameras.viewmats[observations.train_camera]
-        try:
-            motion = captured_motion(run.motion, observations.body, viewmat, fps, 0.0, seconds)
-        except ValueError as error:
-            raise ConfigError(f"export: {error}") from None
+        motion = captured_motion(run.motion, run.stage, fps, 0.0, seconds)
         amass_from_upright = UPRIGHT_FROM_AMASS.T
         root = matrix_to_axis_angle(amass_from_upright @ axis_angle_to_matrix(motion.global_orient))
         content = io.BytesIO()

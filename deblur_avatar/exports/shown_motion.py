@@ -86,16 +86,9 @@ def filmed_motion(run: FittedRun) -> ShownMotion:
 
 
 def _driven(run: FittedRun, name: str, fps: float, seconds: float) -> ShownMotion:
-    observations = run.observations
-    filmed = dataclasses.replace(observations.poses, betas=run.avatar.betas)
-    motion = read_motion(
-        name, observations.body, run.avatar.betas, fps=fps, start=0.0, seconds=seconds
-    )
-    viewmat = observations.cameras.viewmats[observations.train_camera]
-    try:
-        poses = place(motion, observations.body, filmed, viewmat, turns=0.0, travel=1.0)
-    except ValueError as error:
-        raise ConfigError(f"export: {name}: {error}") from None
+    body, betas = run.observations.body, run.avatar.betas
+    motion = read_motion(name, body, betas, fps=fps, start=0.0, seconds=seconds)
+    poses = place(motion, body, betas, run.stage, turns=0.0, travel=1.0)
     known = _called(name)
     label = known.replace("_", " ").capitalize()
     times = torch.arange(len(poses.transl)) / motion.fps

@@ -12,10 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.animation.placement import stage_rotation
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed, shaped_joints
-from deblur_avatar.errors import ConfigError
 from deblur_avatar.exports.exporter import FittedRun
 from deblur_avatar.exports.posed_gaussians import PosedGaussians
 from deblur_avatar.geometry.rotations import axis_angle_to_quat, matrix_to_quat, quat_multiply
@@ -66,30 +64,12 @@ def upright_of(run: FittedRun) -> Upright:
     Raises:
         ConfigError: if the camera looked along the person's vertical.
     """
-    _, world_from_stage = stage_of(run)
-    rotation = world_from_stage.T
+    rotation = run.stage.world_from_stage.T
     moved = dataclasses.replace(run.motion.centre, betas=run.avatar.betas)
     joints = posed(run.observations.body, moved).joints
     pelvis = joints[:, 0].mean(0)
     floor = ((joints - pelvis) @ rotation.T)[..., 1].min()
     return Upright(rotation, pelvis + floor * rotation[1])
-
-
-def stage_of(run: FittedRun) -> tuple[Float[Tensor, " 3"], Float[Tensor, "3 3"]]:
-    """Where the person of a run was on average, and the stage's axes, both in the world.
-
-    As `animation.placement.place` has them for motions that were not filmed.
-
-    Raises:
-        ConfigError: if the camera looked along the person's vertical.
-    """
-    observations = run.observations
-    filmed = dataclasses.replace(observations.poses, betas=run.avatar.betas)
-    joints = posed(observations.body, filmed).joints
-    try:
-        return joints[:, 0].mean(0), stage_rotation(joints, observations.camera.viewmat)
-    except ValueError as error:
-        raise ConfigError(f"export: {error}") from None
 
 
 def rest_pelvis(run: FittedRun) -> Float[Tensor, " 3"]:

@@ -34,8 +34,8 @@ def basis(
 
 
 def spline_points(
-    knots: Float[Tensor, "K *shape"], times: Float[Tensor, " M"]
-) -> Float[Tensor, "M *shape"]:
+    knots: Float[Tensor, " K *shape"], times: Float[Tensor, " M"]
+) -> Float[Tensor, " M *shape"]:
     """Evaluate a spline of vectors."""
     indices, weights = basis(times, len(knots))
     weights = weights.reshape(*weights.shape, *[1] * (knots.ndim - 1))

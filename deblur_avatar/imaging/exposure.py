@@ -25,7 +25,7 @@ GUESS_STD = math.log(2)  # of the logarithm of an exposure that is guessed: to a
 
 
 def expose(
-    images: Float[Tensor, "S *image"], averaging_space: AveragingSpace
+    images: Float[Tensor, " S *image"], averaging_space: AveragingSpace
 ) -> Float[Tensor, "*image"]:
     """Average the sharp pictures of one exposure, differentiably.
 
@@ -41,7 +41,7 @@ def expose(
     return linear_to_srgb(mean_of_instants(srgb_to_linear(images)))
 
 
-def mean_of_instants(images: Float[Tensor, "S *image"]) -> Float[Tensor, "*image"]:
+def mean_of_instants(images: Float[Tensor, " S *image"]) -> Float[Tensor, "*image"]:
     """The whole model of blur: what a sensor gathers is the mean over the exposure's instants.
 
     Images are in the space in which light is averaged; coverage is averaged alike. Renders that

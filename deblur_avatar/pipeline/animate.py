@@ -1,6 +1,5 @@
 """Animation: an avatar in motions that it was not filmed in."""
 
-import dataclasses
 import logging
 from typing import Annotated
 
@@ -15,7 +14,9 @@ from deblur_avatar.animation.captured_motion import captured_motion
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.motion_files import read_motion
 from deblur_avatar.animation.showing import Progress, plan_shot, render_shot
+from deblur_avatar.animation.stage import stage_of_clip
 from deblur_avatar.artifacts.avatar import Avatar
+from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.avatars.kinds import avatar_from_artifact
@@ -84,12 +85,14 @@ def animate(
         ConfigError: if there is no such motion, or it cannot be shown from this camera.
         ArtifactError: if the motion's file is damaged.
     """
-    camera, cameras = observations.train_camera, observations.cameras
-    filmed = dataclasses.replace(observations.poses, betas=avatar.betas)
-    motion = _motion(fitted, observations, avatar, params, where)
+    camera = observations.camera
+    motion = _driven(observations.body, avatar, params, where)
     try:
+        stage = stage_of_clip(observations, avatar.betas)
+        if motion is None:
+            motion = captured_motion(fitted, stage, params.fps, params.start, params.seconds)
         shot = plan_shot(
-            motion, observations.body, filmed, cameras.Ks[camera], cameras.viewmats[camera],
+            motion, observations.body, avatar.betas, stage, camera.K, camera.viewmat,
             size=params.image_size, margin=params.margin, turns=params.turns, travel=params.travel,
         )  # fmt: skip
     except ValueError as error:
@@ -99,16 +102,10 @@ def animate(
     return render_shot(model, shot, progress, params.backdrop)
 
 
-def _motion(
-    fitted: Motion, observations: Observations, avatar: Avatar, params: AnimationParams, where: str
-) -> BodyMotion:
-    body = observations.body
+def _driven(body: Body, avatar: Avatar, params: AnimationParams, where: str) -> BodyMotion | None:
+    """The motion that is named; None for the one that was filmed."""
     if params.motion == OWN:
-        viewmat = observations.cameras.viewmats[observations.train_camera]
-        try:
-            return captured_motion(fitted, body, viewmat, params.fps, params.start, params.seconds)
-        except ValueError as error:
-            raise ConfigError(f"{where}: {error}") from None
+        return None
     return read_motion(
         expand_environment(params.motion, f"{where}.motion"),
         body,

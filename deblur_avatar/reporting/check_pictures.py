@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
 
-from deblur_avatar.animation.placement import stage_rotation
+from deblur_avatar.animation.stage import stage_of_clip
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.body_silhouette import INSIDE
@@ -92,9 +92,8 @@ def _from_above(observations: Observations) -> Picture:
     """Cameras, the way of the pelvis, and which way the body faced."""
     poses, cameras = observations.poses, observations.cameras
     joints = posed(observations.body, poses).joints
-    viewmat = cameras.viewmats[observations.train_camera]
     try:
-        stage = stage_rotation(joints, viewmat)
+        stage = stage_of_clip(observations, poses.betas).world_from_stage
     except ValueError:  # seen from straight above: any direction is as good
         stage = torch.eye(3)
     way = (joints[:, 0] @ stage)[:, [0, 2]].numpy()

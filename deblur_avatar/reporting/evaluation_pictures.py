@@ -1,7 +1,7 @@
 """Pictures of an evaluation: renders beside the ground truth, error maps, a turntable."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.placement import framed_intrinsics, place
+from deblur_avatar.animation.stage import stage_of_clip
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
@@ -125,10 +126,10 @@ def turntable(avatar: Avatar, observations: Observations, device: torch.device) 
     body_pose[:, RIGHT_SHOULDER, 2] = ARMS_DOWN
     still = torch.zeros(SIDES, 3)
     standing = BodyMotion(fps=1.0, global_orient=still, body_pose=body_pose, transl=still)
-    filmed = replace(observations.poses, betas=avatar.betas)
+    stage = stage_of_clip(observations, avatar.betas)
     viewmat = observations.cameras.viewmats[camera]
     turns = (SIDES - 1) / SIDES
-    poses = place(standing, body, filmed, viewmat, turns=turns, travel=0.0)
+    poses = place(standing, body, avatar.betas, stage, turns=turns, travel=0.0)
     points = posed(body, poses).vertices
     size = TURNTABLE_SIZE
     K = framed_intrinsics(points, observations.cameras.Ks[camera], viewmat, size, MARGIN)

@@ -3,9 +3,13 @@ import dataclasses
 import pytest
 import torch
 
+from deblur_avatar.animation.stage import stage_of_clip
 from deblur_avatar.bodies.posed_body import posed
+from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
+from deblur_avatar.exports import exporter
 from deblur_avatar.exports.posed_gaussians import posed_frame
+from deblur_avatar.exports.registry import ExportParams
 from deblur_avatar.exports.upright import rest_pelvis, upright_of
 from deblur_avatar.geometry.cameras import look_at
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
@@ -78,3 +82,16 @@ def test_a_camera_above_the_head_leaves_no_front(rough, fitted_run):
     )
     with pytest.raises(ConfigError, match="no side is in front"):
         upright_of(run)
+
+
+def test_one_stage_serves_all_that_is_written_of_a_run(rough, fitted_run, monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(
+        exporter, "stage_of_clip", lambda *of: asked.append(of) or stage_of_clip(*of)
+    )
+    run = fitted_run(rough())
+    for options in ({"format": "npz"}, {"format": "ply", "frame": 0}):
+        path = tmp_path / options["format"]
+        parse(ExportParams, options, "export").export(run, path)
+    upright_of(run)
+    assert len(asked) == 1

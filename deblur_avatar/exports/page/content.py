@@ -26,7 +26,6 @@ from deblur_avatar.exports.page.packing import (
 )
 from deblur_avatar.exports.rigged import RiggedAvatar
 from deblur_avatar.exports.shown_motion import ShownMotion
-from deblur_avatar.exports.upright import stage_of
 from deblur_avatar.geometry.cameras import camera_centres
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, axis_angle_to_quat
 from deblur_avatar.geometry.skinning import invert_rigid
@@ -147,7 +146,7 @@ def _scene(shown: Shown) -> dict[str, Any]:
     observations = shown.run.observations
     camera = observations.camera
     points = _places(shown, shown.motions[0])
-    _, world_from_stage = stage_of(shown.run)
+    world_from_stage = shown.run.stage.world_from_stage
     on_stage = points @ world_from_stage
     middle = (on_stage.min(0).values + on_stage.max(0).values) / 2
     own = _half_size(on_stage - middle)
@@ -173,8 +172,11 @@ def _scene(shown: Shown) -> dict[str, Any]:
 
 def _placement(run: FittedRun) -> dict[str, list[float]]:
     """Where and facing whom the person does what was not filmed."""
-    anchor, world_from_stage = stage_of(run)
-    return {"anchor": anchor.tolist(), "world_from_stage": world_from_stage.flatten().tolist()}
+    stage = run.stage
+    return {
+        "anchor": stage.anchor.tolist(),
+        "world_from_stage": stage.world_from_stage.flatten().tolist(),
+    }
 
 
 def _half_size(points: Float[Tensor, "points 3"]) -> Float[Tensor, " 2"]:

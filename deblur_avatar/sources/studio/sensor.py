@@ -49,7 +49,7 @@ def instants_of_frame(instants: int, exposure: float, readout: float) -> Float[T
     return (torch.arange(count, dtype=torch.float64) - (count - 1) / 2) * step
 
 
-def expose_rows(seen: Float[Tensor, "S H *row"], instants: int) -> Float[Tensor, "H *row"]:
+def expose_rows(seen: Float[Tensor, "S H *row"], instants: int) -> Float[Tensor, " H *row"]:
     """Average the instants of each row's exposure: all rows the same ones, or later rows later."""
     late = len(seen) - instants
     rows = seen.shape[1]

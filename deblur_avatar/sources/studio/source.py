@@ -268,7 +268,7 @@ def encode(picture: Picture) -> UInt8[np.ndarray, "H W 4"]:
     return np.rint(both.clip(0, 1) * 255).astype(np.uint8)
 
 
-def _stacked(images: Sequence[UInt8[np.ndarray, "*image"]]) -> UInt8[Tensor, "F *image"]:
+def _stacked(images: Sequence[UInt8[np.ndarray, "*image"]]) -> UInt8[Tensor, " F *image"]:
     return torch.from_numpy(np.stack(images))
 
 

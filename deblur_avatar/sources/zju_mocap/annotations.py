@@ -129,7 +129,7 @@ def _length(value: Any) -> int:
     return len(value) if is_list else 0
 
 
-def _stacked(values: Any, shape: tuple[int, ...], where: str) -> Float32[Tensor, "C *shape"]:
+def _stacked(values: Any, shape: tuple[int, ...], where: str) -> Float32[Tensor, " C *shape"]:
     """One array a camera; columns count as vectors."""
     rows = []
     for camera, value in enumerate(values):
