@@ -20,8 +20,9 @@ from benchmarks.hands_and_head import SIZE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.bodies.posed_body import posed
-from deblur_avatar.body_estimation.closer_look import SURE, look_closer
+from deblur_avatar.body_estimation.closer_look import look_closer
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
+from deblur_avatar.body_estimation.same_person import SURE
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.sources.studio.cameras import RingParams, place_cameras
 

@@ -1,13 +1,12 @@
-"""Closer look: a person too small, or too bent, for a detector to find in whole frames.
+"""Closer look: a person too small or too bent to be found in whole frames, or lost to another.
 
-A detector that shrinks frames to 224 pixels hardly sees who is 100 of 1,280 pixels tall. Where it
-found nobody, she is looked for in windows that follow her from where she was found: she fills a
-third of them or more. A person's size here is the longer side of the box around her landmarks.
+A detector that shrinks frames to 224 pixels hardly sees who is 100 of 1,280 pixels tall, and in a
+crowd it goes over from one person to the next. Where it found nobody, or somebody else, she is
+looked for in windows that follow her from where she was found: she fills a third of them or more.
 """
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import UInt8
@@ -20,96 +19,96 @@ from deblur_avatar.body_estimation.landmarks import (
     landmarks_of,
     pose_finder,
 )
+from deblur_avatar.body_estimation.same_person import SURE, Look, is_another, is_same
 from deblur_avatar.run import progress
 
 logger = logging.getLogger(__name__)
 
 ENOUGH = 0.95  # share of frames in which she is found: a closer look is not worth its time
 RUN = 5  # frames in a row that agree: a person, and no mistake
-REACH, DRIFT = 0.6, 0.1  # her sizes that she moves in a frame at most, and more for each one missed
-RESIZED = 2.5  # times as large or as small as when she was last seen, at most
 WINDOWS = (2.0, 3.0)  # their sides, in her sizes
 SMALLEST = 64  # pixels of a window
 GONE = 30  # frames in a row without her: she has left
-SURE = 0.5  # visibility from which a landmark is believed, or a person by the median of hers
-CLEAR = 0.8  # the same of who is seen in a window, where anything may look like a person
-FEW = 5  # landmarks that are believed: fewer, and the box is that of all
+CLEAR = 0.8  # sureness of who is seen in a window, where anything may look like a person
 SAMPLES, PARTS = 16, (2, 3)  # frames searched, where nobody was found at all; windows to a side
 
-
-@dataclass(frozen=True)
-class _Place:
-    """Where a person is, and how large, pixels."""
-
-    right: float
-    down: float
-    size: float
-
-    @classmethod
-    def of(cls, sighting: Sighting) -> "_Place":
-        sure = sighting.visibility >= SURE
-        points = sighting.points[sure] if sure.sum() >= FEW else sighting.points
-        low, high = points.amin(0), points.amax(0)
-        right, down = ((low + high) / 2).tolist()
-        return cls(right, down, float((high - low).max()))
-
-    def holds(self, sighting: Sighting, missed: int) -> bool:
-        """Whether it is the same person, after so many frames without her."""
-        other = _Place.of(sighting)
-        way = ((self.right - other.right) ** 2 + (self.down - other.down) ** 2) ** 0.5
-        larger, smaller = max(self.size, other.size), min(self.size, other.size)
-        return way <= (REACH + DRIFT * missed) * self.size and larger <= RESIZED * smaller
+Looks = Sequence[Look | None]  # of a track, frame after frame
 
 
-def look_closer(frames: UInt8[Tensor, "F H W 3"], person: Landmarks) -> Landmarks:
-    """Look once more for a person who was not found in many frames, or hardly in most of them.
+def look_closer(
+    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, other: Landmarks | None = None
+) -> Landmarks:
+    """Look once more for a person who was not found in many frames, hardly, or not always herself.
 
     Args:
         frames: consecutive.
         person: found by MediaPipe's pose model; as another detector found her she stays.
+        other: whom else it found; the person herself, where both were mixed up.
     """
+    if person.model is None:
+        return person
     sure = person.visibility.median() >= SURE
-    if person.model is None or (sure and person.found.float().mean() >= ENOUGH):
+    if sure and person.found.float().mean() >= ENOUGH and _is_one(_looks(frames, person)):
         return person
     with pose_finder(person.model, follows=False) as find:
-        return follow_closely(frames, person, find)
+        return follow_closely(frames, person, find, other)
 
 
 def follow_closely(
-    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, find: PersonFinder
+    frames: UInt8[Tensor, "F H W 3"],
+    person: Landmarks,
+    find: PersonFinder,
+    other: Landmarks | None = None,
 ) -> Landmarks:
     """Follow a person in windows from where she was found for sure.
 
-    That is the surest run of frames that agree; from there it goes forth and back. What was found
-    far from where she just was is somebody else or nobody, unless she had gone and a run begins
-    there. Where no run is, windows of some frames are searched for her. Nothing changes where it
-    would show her for sure in fewer frames than before, or in fewer than `RUN`.
+    That is the surest run of frames that agree, with all in the same clothes; from there it goes
+    forth and back. What was found far from where she just was, or in other clothes, is somebody
+    else or nobody, unless she had gone and a run begins there. Where no run is, windows of some
+    frames are searched for her. Where it would show her for sure in fewer frames than before, or in
+    fewer than `RUN`, nothing changes but that who surely wears other clothes is left out, if she
+    herself is surely seen more often.
 
     Args:
         frames: consecutive.
         person: found in some of them, or in none.
         find: the detector, for pictures without order.
+        other: whom else it found, where that was looked for.
     """
-    first = [_sighting(person, index) for index in range(len(frames))]
+    tracks = [_looks(frames, track) for track in (person, other) if track is not None]
+    first = tracks[0]
     runs = _runs(first)
-    start = max(runs, key=_sureness) if runs else _searched(frames, find)
+    start = _surest(runs) if runs else _searched(frames, find)
     if not start:
         return person
-    steady = {index for sightings in runs for index in sightings}
-    seen: dict[int, Sighting] = dict(start)
-    for way, last in (
-        (range(max(start) + 1, len(frames)), max(start)),
-        (range(min(start) - 1, -1, -1), min(start)),
-    ):
-        seen |= _followed(frames, first, steady, way, _Place.of(start[last]), find)
-    if len(seen) < RUN or _sure_frames(seen.values()) < _sure_frames(first):
-        return person
+    steady = [{index for run in _runs(track) for index in run} for track in tracks]
+    seen = dict(start)
+    for way in (range(max(start) + 1, len(frames)), range(min(start) - 1, -1, -1)):
+        _follow(frames, list(zip(tracks, steady, strict=True)), way, seen, find)
+    strangers = _strangers(first, seen) if runs else set()
+    herself = [None if index in strangers else look for index, look in enumerate(first)]
+    if len(seen) < RUN or _sure_frames(seen.values()) < _sure_frames(herself):
+        if not strangers:
+            return person
+        kept = {index: look for index, look in enumerate(herself) if look is not None}
+        seen = {index: seen[index] for index in strangers & seen.keys()} | kept
+    if strangers:
+        logger.warning("in %d frames somebody else was followed, who is left out", len(strangers))
     logger.info(
         "looked closer: the person followed is in %d of %d frames, at first in %d",
         len(seen), len(frames), int(person.found.sum()),
     )  # fmt: skip
     count, height, width = frames.shape[:3]
-    return landmarks_of(map(seen.get, range(count)), (count, height, width), person.model)
+    sightings = (seen[index].sighting if index in seen else None for index in range(count))
+    return landmarks_of(sightings, (count, height, width), person.model)
+
+
+def _looks(frames: UInt8[Tensor, "F H W 3"], person: Landmarks) -> list[Look | None]:
+    sightings = (_sighting(person, index) for index in range(len(frames)))
+    return [
+        None if sighting is None else Look.of(sighting, frame)
+        for sighting, frame in zip(sightings, frames, strict=True)
+    ]
 
 
 def _sighting(person: Landmarks, index: int) -> Sighting | None:
@@ -120,72 +119,110 @@ def _sighting(person: Landmarks, index: int) -> Sighting | None:
     )
 
 
-def _sure(sighting: Sighting) -> float:
-    """The median landmark's visibility: half of a person may be hidden."""
-    return float(sighting.visibility.median())
+def _sure_frames(looks: Iterable[Look | None]) -> int:
+    return sum(look is not None and look.sureness >= SURE for look in looks)
 
 
-def _sure_frames(sightings: Iterable[Sighting | None]) -> int:
-    return sum(sighting is not None and _sure(sighting) >= SURE for sighting in sightings)
+def _surest(runs: Sequence[dict[int, Look]]) -> dict[int, Look]:
+    """The run that is surest with all in its clothes; of those the one that is surest by itself."""
+
+    def sureness(run: Mapping[int, Look]) -> float:
+        return sum(look.sureness for look in run.values())
+
+    def with_others(run: Mapping[int, Look]) -> float:
+        looks = list(run.values())
+        return sum(sureness(one) for one in runs if not next(iter(one.values())).is_unlike(looks))
+
+    return max(runs, key=lambda run: (with_others(run), sureness(run)))
 
 
-def _sureness(sightings: Mapping[int, Sighting]) -> float:
-    return sum(map(_sure, sightings.values()))
+def _strangers(first: Looks, seen: Mapping[int, Look]) -> set[int]:
+    """Frames that surely showed somebody in other clothes; none, where those are the most."""
+    looks = list(seen.values())
+    frames = {
+        index for index, look in enumerate(first)
+        if look is not None and look.sureness >= SURE and seen.get(index) is not look
+        and look.is_unlike(looks)
+    }  # fmt: skip
+    return frames if len(frames) < _sure_frames(looks) else set()
 
 
-def _runs(sightings: Sequence[Sighting | None]) -> list[dict[int, Sighting]]:
-    """Frames in a row that surely show one person, `RUN` or more."""
-    runs: list[dict[int, Sighting]] = []
-    last = None
-    for index, sighting in enumerate(sightings):
-        if sighting is None or _sure(sighting) < SURE:
-            last = None
+def _is_one(looks: Looks) -> bool:
+    """Whether a track is one person's, as far as who is surely seen in it tells."""
+    known: list[Look] = []
+    for look in looks:
+        if look is None or look.sureness < SURE:
             continue
-        if last is None or not _Place.of(last).holds(sighting, 0):
+        if known and is_another(look, known):
+            return False
+        known.append(look)
+    return True
+
+
+def _runs(looks: Looks) -> list[dict[int, Look]]:
+    """Frames in a row that surely show one person, `RUN` or more."""
+    runs: list[dict[int, Look]] = []
+    goes_on = False
+    for index, look in enumerate(looks):
+        if look is None or look.sureness < SURE:
+            goes_on = False
+            continue
+        if not (goes_on and is_same(look, list(runs[-1].values()), 0)):
             runs.append({})
-        runs[-1][index] = last = sighting
+        runs[-1][index] = look
+        goes_on = True
     return [run for run in runs if len(run) >= RUN]
 
 
-def _followed(
+def _follow(
     frames: UInt8[Tensor, "F H W 3"],
-    first: Sequence[Sighting | None],
-    steady: set[int],
+    tracks: Sequence[tuple[Looks, set[int]]],
     way: range,
-    last: _Place,
+    seen: dict[int, Look],
     find: PersonFinder,
-) -> dict[int, Sighting]:
-    """The person in frame after frame, from where she was last seen."""
-    seen: dict[int, Sighting] = {}
+) -> None:
+    """Add the person in frame after frame from where she was seen, next to where `way` begins.
+
+    Args:
+        tracks: who was found before, and in which frames as one of a run.
+    """
     missed = 0
+    known = [seen[index] for index in sorted(seen, reverse=way.step < 0)]
     for index in progress(way, "a closer look"):
-        sighting, gone = first[index], missed >= GONE
-        if sighting is not None and not (
-            last.holds(sighting, missed) or (gone and index in steady)
-        ):
-            sighting = None
-        if not gone and (sighting is None or _sure(sighting) < SURE):
-            sighting = _in_windows(frames[index], last, missed, find) or sighting
-        if sighting is None:
+        gone = missed >= GONE
+        look = None
+        for looks, steady in tracks:
+            here = looks[index]
+            if look is None and here is not None and (
+                is_same(here, known, missed)
+                or (gone and index in steady and not here.is_unlike(known))
+            ):  # fmt: skip
+                look = here
+        if not gone and (look is None or look.sureness < SURE):
+            look = _in_windows(frames[index], known, missed, find) or look
+        if look is None:
             missed += 1
         else:
-            seen[index], last, missed = sighting, _Place.of(sighting), 0
-    return seen
+            seen[index] = look
+            known.append(look)
+            missed = 0
 
 
 def _in_windows(
-    frame: UInt8[Tensor, "H W 3"], last: _Place, missed: int, find: PersonFinder
-) -> Sighting | None:
+    frame: UInt8[Tensor, "H W 3"], known: Sequence[Look], missed: int, find: PersonFinder
+) -> Look | None:
+    last = known[-1]
+    right, down = last.centre.tolist()
     for side in WINDOWS:
-        sighting = _within(frame, last.right, last.down, side * last.size, find)
-        if sighting is not None and last.holds(sighting, missed):
-            return sighting
+        look = _within(frame, right, down, side * last.size, find)
+        if look is not None and is_same(look, known, missed):
+            return look
     return None
 
 
 def _within(
     frame: UInt8[Tensor, "H W 3"], right: float, down: float, side: float, find: PersonFinder
-) -> Sighting | None:
+) -> Look | None:
     """Who is seen in a square about a point, in pixels of the frame."""
     height, width = frame.shape[:2]
     size = min(max(round(side), SMALLEST), height, width)
@@ -193,17 +230,18 @@ def _within(
     top = min(max(round(down - size / 2), 0), height - size)
     rows, columns = slice(top, top + size), slice(left, left + size)
     found = find(frame[rows, columns])
-    if found is None or _sure(found) < CLEAR:
+    if found is None or found.visibility.median() < CLEAR:
         return None
     matte = torch.zeros(height, width, dtype=torch.uint8)
     matte[rows, columns] = found.matte
-    return found._replace(points=found.points + torch.tensor([left, top]), matte=matte)
+    points = found.points + torch.tensor([left, top])
+    return Look.of(found._replace(points=points, matte=matte), frame)
 
 
-def _searched(frames: UInt8[Tensor, "F H W 3"], find: PersonFinder) -> dict[int, Sighting]:
-    """The surest sighting in windows of some frames, by its frame; empty if there is none."""
+def _searched(frames: UInt8[Tensor, "F H W 3"], find: PersonFinder) -> dict[int, Look]:
+    """The surest look in windows of some frames, by its frame; empty if there is none."""
     height, width = frames.shape[1:3]
-    best: dict[int, Sighting] = {}
+    best: dict[int, Look] = {}
     surest = 0.0
     for index in progress(range(0, len(frames), -(-len(frames) // SAMPLES)), "a search"):
         for part in PARTS:
@@ -211,6 +249,6 @@ def _searched(frames: UInt8[Tensor, "F H W 3"], find: PersonFinder) -> dict[int,
             for down in torch.arange(side / 2, height, side / 2).tolist():
                 for right in torch.arange(side / 2, width, side / 2).tolist():
                     found = _within(frames[index], right, down, side, find)
-                    if found is not None and _sure(found) > surest:
-                        best, surest = {index: found}, _sure(found)
+                    if found is not None and found.sureness > surest:
+                        best, surest = {index: found}, found.sureness
     return best

@@ -12,43 +12,46 @@ from torch import Tensor
 
 from deblur_avatar.body_estimation.closer_look import look_closer
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
+from deblur_avatar.body_estimation.same_person import SURE
 
 logger = logging.getLogger(__name__)
 
 SAMPLES = 16  # frames on which others are looked for
 SEEN_SHARE = 0.3  # of them in which someone else must be found to be more than a mistake
 MARGIN = 0.1  # around a person, as a share of her height, that is hidden with her
-SURE = 0.5  # visibility from which a landmark is believed
 
 
 def detect_main_person(
     frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector
 ) -> tuple[Landmarks, int]:
-    """Find the larger, longer-tracked of two people, and look closer where she was not found.
+    """Find the larger, longer-tracked of two people; look closer where it is not she, or nobody.
 
     Returns:
         That person, and how many people there are (no more than two are looked for).
     """
-    person, count = _larger(frames, detect)
-    person = look_closer(frames, person)
+    person, other, count = _larger(frames, detect)
+    person = look_closer(frames, person, other)
     return person, max(count, int(person.found.any()))
 
 
-def _larger(frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector) -> tuple[Landmarks, int]:
+def _larger(
+    frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector
+) -> tuple[Landmarks, Landmarks | None, int]:
+    """Whom to follow, who else was found in all frames that were looked at, how many there are."""
     first = detect(frames)
     if not first.found.any():
-        return first, 0
+        return first, None, 0
     step = max(1, len(frames) // SAMPLES)
     sample = slice(None, None, step)
     other = detect(_hidden(frames[sample], _part(first, sample)))
     if other.found.float().mean() < SEEN_SHARE or _size(other) == 0:
-        return first, 1
+        return first, None, 1
     if _size(other) <= _size(_part(first, sample)):
         logger.warning("two people; the larger, longer-tracked one is taken")
-        return first, 2
+        return first, None, 2
     second = detect(_hidden(frames, first))
     logger.warning("two people; the first one found is the smaller or less seen and is left out")
-    return second, 2
+    return second, first, 2
 
 
 def _part(person: Landmarks, frames: slice) -> Landmarks:

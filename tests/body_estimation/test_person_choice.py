@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from deblur_avatar.body_estimation import closer_look
+from deblur_avatar.body_estimation import closer_look, person_choice
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 
@@ -92,3 +92,24 @@ def test_who_was_missed_is_looked_at_closer(monkeypatch):
     person, count = detect_main_person(frames, detect)
     assert count == 1
     assert person.found.all()
+
+
+@pytest.mark.parametrize(("left", "right"), [(20, 40), (40, 20)])
+def test_a_closer_look_is_told_of_the_other_where_she_was_found_in_all_frames(
+    left, right, monkeypatch
+):
+    asked, made = [], []
+
+    def detect(frames):
+        made.append(leftmost(frames))
+        return made[-1]
+
+    monkeypatch.setattr(
+        person_choice, "look_closer", lambda frames, *whom: asked.append(whom) or whom[0]
+    )
+    detect_main_person(film(left, right), detect)
+    ((person, other),) = asked
+    if left < right:
+        assert (person, other) == (made[2], made[0])
+    else:
+        assert (person, other) == (made[0], None)
