@@ -103,10 +103,11 @@ def bodies_looked_at_once() -> Iterator[None]:
     look = plain_avatar.closure_views
     known: dict[tuple[Any, ...], Any] = {}
 
-    def remembered(vertices: torch.Tensor, faces: torch.Tensor) -> Any:
-        asked = vertices.device, *(part.cpu().numpy().tobytes() for part in (vertices, faces))
+    def remembered(vertices: torch.Tensor, body: Body, nearer: dict[str, float]) -> Any:
+        parts = (part.cpu().numpy().tobytes() for part in (vertices, body.faces, body.lbs_weights))
+        asked = vertices.device, *nearer.items(), *parts
         if asked not in known:
-            known[asked] = look(vertices, faces)
+            known[asked] = look(vertices, body, nearer)
         return known[asked]
 
     with pytest.MonkeyPatch.context() as patch:

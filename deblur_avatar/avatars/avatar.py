@@ -7,7 +7,7 @@ instants of its exposure. A kind is a module of this package and its name in `ki
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -94,6 +94,9 @@ class AvatarModel(nn.Module, ABC):
     kind: ClassVar[str]
     Params: ClassVar[type[AvatarParams]]
     Fitting: ClassVar[type[FittingParams]]
+    # Joints, and how deep inside the silhouette one may not see through their surface: as
+    # `closure_views` has it.
+    closed_nearer: ClassVar[Mapping[str, float]] = {}
     betas: Tensor
     canonical_vertices: Tensor
     rest_from_canonical: Tensor

@@ -9,14 +9,18 @@ Conventions. World of the canonical pose, metres.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from torch import Tensor
 
+from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.avatar import AvatarModel, TrainingStep
+from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.geometry.cameras import Camera, look_at
 from deblur_avatar.rendering.seen_triangles import seen_triangles
 
@@ -26,9 +30,9 @@ STRIDE = 7  # from one to the next in order; coprime to their number
 SIZE = 192  # pixels of a view
 DISTANCE = 2.0  # of a camera from the body's middle, in the body's diameters
 # How deep inside the silhouette nothing may be seen through, as a share of how deep it gets within
-# `NEAR` metres: a person may be that much thinner than the body that was fitted to her.
+# `NEAR`: a person may be that much thinner than the body that was fitted to her.
 INSIDE = 0.5
-NEAR = 0.06
+NEAR = 0.06  # metres
 COVERED = 0.8  # alpha from where on a pixel is closed
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 
@@ -70,12 +74,16 @@ def open_share(coverage: Float[Tensor, " inside"]) -> Float[Tensor, ""]:
     return (COVERED - coverage).relu().mean()
 
 
-def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> list[ClosureView]:
+def closure_views(
+    vertices: Float[Tensor, "V 3"], body: Body, nearer: Mapping[str, float]
+) -> list[ClosureView]:
     """Views of a body from `VIEWS` directions of a Fibonacci sphere; neighbours in order are apart.
 
     Args:
         vertices: of the canonical body, its up along +Y.
-        faces: triangles.
+        body: whose they are.
+        nearer: joints whose surface has to be covered nearer to the silhouette than `INSIDE`, and
+            from what share of the depth on, in [0, 1).
     """
     low, high = vertices.min(0).values, vertices.max(0).values
     middle, diameter = (low + high) / 2, float((high - low).norm())
@@ -83,7 +91,8 @@ def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> 
     K = vertices.new_tensor([[focal, 0.0, centre], [0.0, focal, centre], [0.0, 0.0, 1.0]])
     up = vertices.new_tensor([0.0, 1.0, 0.0])
     reach = round(NEAR * SIZE / diameter)  # pixels
-    mesh = vertices.cpu().numpy(), faces.cpu().numpy()
+    mesh = vertices.cpu().numpy(), body.faces.cpu().numpy()
+    shares = _shares(body, nearer)
     views = []
     for step in range(VIEWS):
         eye = middle + DISTANCE * diameter * vertices.new_tensor(_direction(step * STRIDE % VIEWS))
@@ -91,7 +100,7 @@ def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> 
         triangles = seen_triangles(*mesh, camera)
         depth = distance_transform_edt(triangles >= 0)  # pixels
         deepest = maximum_filter(depth, 2 * reach + 1)
-        inside = (depth > 1) & (depth > INSIDE * deepest)
+        inside = (depth > 1) & (depth > shares[triangles] * deepest)
         views.append(
             ClosureView(
                 camera,
@@ -100,6 +109,15 @@ def closure_views(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> 
             )
         )
     return views
+
+
+def _shares(body: Body, nearer: Mapping[str, float]) -> Float[np.ndarray, " T"]:
+    """From what share of the depth on each triangle has to be covered."""
+    joints = triangle_joints(body).cpu().numpy()
+    shares = np.full(len(joints), INSIDE)
+    for name, share in nearer.items():
+        shares[joints == body.joint_names.index(name)] = share
+    return shares
 
 
 def _direction(index: int) -> list[float]:

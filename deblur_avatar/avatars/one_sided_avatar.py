@@ -14,8 +14,12 @@ Heights. Along the camera's line of sight a Gaussian may stand anywhere and be a
 and where poses are a little off it makes up for them by reaching in front of the body or behind it,
 which another side sees as fluff. So none reaches farther off than clothes do, unless pictures ask
 for it.
+
+Coverage. Beside the top of a head the camera's pixels take light away, and none gives it back: the
+crown stays open. So a head is closed nearer to its silhouette than the rest of a body.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar, Literal
 
@@ -54,6 +58,9 @@ ROUNDS = 12  # of reweighting; the first one's colours are harmonic
 ALIKE = 0.01  # colours this near to each other count as one
 DARKEST = 1e-3  # colours stay this far from black and white, whose logits are infinite
 CLOTHES = 0.03  # metres that a Gaussian may reach off the body, to either side
+# From what share of the depth on nothing may be seen through: a head is no thinner than the fitted
+# body's, as a limb may be.
+CLOSED_NEARER = {"head": 0.2}
 REACH = 2.0  # standard deviations across the surface that it reaches
 
 
@@ -90,6 +97,7 @@ class OneSidedAvatar(PlainAvatar):
     kind = "one_sided"
     Params: ClassVar[type[AvatarParams]] = OneSidedParams
     Fitting: ClassVar[type[FittingParams]] = OneSidedFitting
+    closed_nearer: ClassVar[Mapping[str, float]] = CLOSED_NEARER
 
     def regularisers(self, rendering: SplatRendering, step: TrainingStep) -> Regularisers:
         """A plain avatar's; and Gaussians stay near the body."""

@@ -15,11 +15,16 @@ from torch import Tensor
 from deblur_avatar.body_estimation.landmarks import (
     Landmarks,
     PersonFinder,
-    Sighting,
-    landmarks_of,
     pose_finder,
 )
-from deblur_avatar.body_estimation.same_person import SURE, Look, is_another, is_same
+from deblur_avatar.body_estimation.same_person import (
+    SURE,
+    Look,
+    is_one,
+    is_same,
+    looks_of,
+    track_of,
+)
 from deblur_avatar.run import progress
 
 logger = logging.getLogger(__name__)
@@ -48,7 +53,7 @@ def look_closer(
     if person.model is None:
         return person
     sure = person.visibility.median() >= SURE
-    if sure and person.found.float().mean() >= ENOUGH and _is_one(_looks(frames, person)):
+    if sure and person.found.float().mean() >= ENOUGH and is_one(looks_of(person, frames)):
         return person
     with pose_finder(person.model, follows=False) as find:
         return follow_closely(frames, person, find, other)
@@ -75,13 +80,14 @@ def follow_closely(
         find: the detector, for pictures without order.
         other: whom else it found, where that was looked for.
     """
-    tracks = [_looks(frames, track) for track in (person, other) if track is not None]
+    tracks = [looks_of(track, frames) for track in (person, other) if track is not None]
     first = tracks[0]
-    runs = _runs(first)
+    runs_of_all = [_runs(track) for track in tracks]
+    runs = runs_of_all[0]
     start = _surest(runs) if runs else _searched(frames, find)
     if not start:
         return person
-    steady = [{index for run in _runs(track) for index in run} for track in tracks]
+    steady = [{index for run in found for index in run} for found in runs_of_all]
     seen = dict(start)
     for way in (range(max(start) + 1, len(frames)), range(min(start) - 1, -1, -1)):
         _follow(frames, list(zip(tracks, steady, strict=True)), way, seen, find)
@@ -98,25 +104,7 @@ def follow_closely(
         "looked closer: the person followed is in %d of %d frames, at first in %d",
         len(seen), len(frames), int(person.found.sum()),
     )  # fmt: skip
-    count, height, width = frames.shape[:3]
-    sightings = (seen[index].sighting if index in seen else None for index in range(count))
-    return landmarks_of(sightings, (count, height, width), person.model)
-
-
-def _looks(frames: UInt8[Tensor, "F H W 3"], person: Landmarks) -> list[Look | None]:
-    sightings = (_sighting(person, index) for index in range(len(frames)))
-    return [
-        None if sighting is None else Look.of(sighting, frame)
-        for sighting, frame in zip(sightings, frames, strict=True)
-    ]
-
-
-def _sighting(person: Landmarks, index: int) -> Sighting | None:
-    if not person.found[index] or person.world is None:
-        return None
-    return Sighting(
-        person.points[index], person.visibility[index], person.world[index], person.mattes[index]
-    )
+    return track_of(seen, person)
 
 
 def _sure_frames(looks: Iterable[Look | None]) -> int:
@@ -145,18 +133,6 @@ def _strangers(first: Looks, seen: Mapping[int, Look]) -> set[int]:
         and look.is_unlike(looks)
     }  # fmt: skip
     return frames if len(frames) < _sure_frames(looks) else set()
-
-
-def _is_one(looks: Looks) -> bool:
-    """Whether a track is one person's, as far as who is surely seen in it tells."""
-    known: list[Look] = []
-    for look in looks:
-        if look is None or look.sureness < SURE:
-            continue
-        if known and is_another(look, known):
-            return False
-        known.append(look)
-    return True
 
 
 def _runs(looks: Looks) -> list[dict[int, Look]]:

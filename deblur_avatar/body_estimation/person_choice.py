@@ -1,7 +1,9 @@
 """Main person: whom to follow where a detector sees one at a time and several are there.
 
 Such a detector may lock on to a bystander. So the person it found is hidden and it is asked again,
-on some frames; if another one is larger and longer in the picture, that one is followed.
+on some frames; if another one is larger and longer in the picture, that one is followed. And it may
+go over to who passes in front: where anybody else is seen, it is asked from the last frame to the
+first, too, and the two tracks tell two people apart.
 """
 
 import logging
@@ -10,9 +12,10 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from deblur_avatar.body_estimation.both_ways import backward, told_apart
 from deblur_avatar.body_estimation.closer_look import look_closer
 from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
-from deblur_avatar.body_estimation.same_person import SURE
+from deblur_avatar.body_estimation.same_person import SURE, looks_of, track_of
 
 logger = logging.getLogger(__name__)
 
@@ -26,32 +29,49 @@ def detect_main_person(
 ) -> tuple[Landmarks, int]:
     """Find the larger, longer-tracked of two people; look closer where it is not she, or nobody.
 
+    Where the detector went over to who passed by, she is who moves less across the picture.
+
     Returns:
         That person, and how many people there are (no more than two are looked for).
     """
-    person, other, count = _larger(frames, detect)
-    person = look_closer(frames, person, other)
-    return person, max(count, int(person.found.any()))
-
-
-def _larger(
-    frames: UInt8[Tensor, "F H W 3"], detect: PersonDetector
-) -> tuple[Landmarks, Landmarks | None, int]:
-    """Whom to follow, who else was found in all frames that were looked at, how many there are."""
     first = detect(frames)
     if not first.found.any():
-        return first, None, 0
+        person = look_closer(frames, first)
+        return person, int(person.found.any())
     step = max(1, len(frames) // SAMPLES)
     sample = slice(None, None, step)
     other = detect(_hidden(frames[sample], _part(first, sample)))
+    if (other.visibility.median(1).values >= SURE).any():
+        alone = _told_from_a_passer_by(frames, first, detect)
+        if alone is not None:
+            return alone, 2
     if other.found.float().mean() < SEEN_SHARE or _size(other) == 0:
-        return first, None, 1
+        return look_closer(frames, first), 1
     if _size(other) <= _size(_part(first, sample)):
         logger.warning("two people; the larger, longer-tracked one is taken")
-        return first, None, 2
+        return look_closer(frames, first), 2
     second = detect(_hidden(frames, first))
     logger.warning("two people; the first one found is the smaller or less seen and is left out")
-    return second, first, 2
+    return look_closer(frames, second, first), 2
+
+
+def _told_from_a_passer_by(
+    frames: UInt8[Tensor, "F H W 3"], first: Landmarks, detect: PersonDetector
+) -> Landmarks | None:
+    """Who is filmed, where a track shows her and then who passes by; None if it does not."""
+    if first.world is None:
+        return None
+    back = backward(detect(frames.flip(0)))
+    people = told_apart(looks_of(first, frames), looks_of(back, frames))
+    if people is None:
+        return None
+    filmed, passing = people
+    logger.warning(
+        "two people, whom the detector mixed up: one is followed in %d frames, and the other, seen "
+        "in %d, is left out; look at check.png; to follow the other bring masks and keypoints, or "
+        "choose frames without the one", len(filmed), len(passing),
+    )  # fmt: skip
+    return track_of(filmed, first)
 
 
 def _part(person: Landmarks, frames: slice) -> Landmarks:

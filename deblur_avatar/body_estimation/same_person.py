@@ -6,7 +6,8 @@ who turns round or walks into a shadow does not jump. Sizes here are the longer 
 around a person's landmarks.
 """
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from deblur_avatar.body_estimation.landmarks import Sighting
+from deblur_avatar.body_estimation.landmarks import Landmarks, Sighting, landmarks_of
 
 SURE = 0.5  # visibility from which a landmark is believed, or a person by the median of hers
 FEW = 5  # landmarks that are believed: fewer, and all are
@@ -66,12 +67,36 @@ class Look:
 
     def is_unlike(self, known: Iterable["Look"]) -> bool:
         """Whether colours are none that she was surely seen in: most places differ from all."""
+        return self.difference(known) > UNLIKE
+
+    def difference(self, known: Iterable["Look"]) -> float:
+        """Of colours from the most alike in which she was surely seen: CIELAB's, of the median
+        place. NaN where too few places compare.
+        """
         all_colors = [look.colors for look in known if look.sureness >= SURE]
         if not all_colors:
-            return False
+            return math.nan
         apart = (torch.stack(all_colors) - self.colors).norm(dim=2)
         compared = apart[(~apart.isnan()).sum(1) >= COMPARED]
-        return len(compared) > 0 and float(compared.nanmedian(1).values.min()) > UNLIKE
+        return float(compared.nanmedian(1).values.min()) if len(compared) else math.nan
+
+
+def looks_of(person: Landmarks, frames: UInt8[Tensor, "F H W 3"]) -> list[Look | None]:
+    """A track's look in each frame; None where nobody was found."""
+    if person.world is None:
+        return [None] * len(frames)
+    sightings = map(Sighting, person.points, person.visibility, person.world, person.mattes)
+    return [
+        Look.of(sighting, frame) if found else None
+        for found, sighting, frame in zip(person.found, sightings, frames, strict=True)
+    ]
+
+
+def track_of(seen: Mapping[int, Look], track: Landmarks) -> Landmarks:
+    """A person as she was seen in some frames of those that a track is of."""
+    count, height, width = track.mattes.shape
+    sightings = (seen[index].sighting if index in seen else None for index in range(count))
+    return landmarks_of(sightings, (count, height, width), track.model)
 
 
 def is_same(look: Look, known: Sequence[Look], missed: int) -> bool:
@@ -82,6 +107,18 @@ def is_same(look: Look, known: Sequence[Look], missed: int) -> bool:
 def is_another(look: Look, known: Sequence[Look]) -> bool:
     """Whether a look is of somebody else than these: in other clothes, after a jump."""
     return known[-1].jumps_to(look) and look.is_unlike(known)
+
+
+def is_one(looks: Iterable[Look | None]) -> bool:
+    """Whether a track is one person's, as far as who is surely seen in it tells."""
+    known: list[Look] = []
+    for look in looks:
+        if look is None or look.sureness < SURE:
+            continue
+        if known and is_another(look, known):
+            return False
+        known.append(look)
+    return True
 
 
 def _colors(sighting: Sighting, frame: UInt8[Tensor, "H W 3"], size: float) -> Float[Tensor, "4 3"]:

@@ -7,6 +7,7 @@ from scipy.ndimage import distance_transform_edt
 from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.closure import COVERED, INSIDE, VIEWS, closure_views, open_share
 from deblur_avatar.avatars.plain_avatar import LOOKS_EVERY, PART_SEEN
+from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.geometry.cameras import camera_centres
 
 pytestmark = pytest.mark.portable
@@ -14,7 +15,7 @@ pytestmark = pytest.mark.portable
 
 @pytest.fixture
 def views(avatar):
-    return closure_views(avatar.canonical_vertices, avatar.body.faces)
+    return closure_views(avatar.canonical_vertices, avatar.body, {})
 
 
 @pytest.fixture
@@ -84,6 +85,22 @@ def test_what_has_to_be_covered_lies_deep_inside_the_body(views):
         near = (slice(max(row - 3, 0), row + 4), slice(max(column - 3, 0), column + 4))
         assert not view.inside[near][depth[near] <= INSIDE * depth.max()].any()
         assert view.inside[depth == depth.max()].all()
+
+
+def test_a_joint_is_covered_nearer_to_the_silhouette_and_no_other(avatar, views):
+    head = triangle_joints(avatar.body) == avatar.body.joint_names.index("head")
+    nearer = closure_views(avatar.canonical_vertices, avatar.body, {"head": 0.2})
+    added = 0
+    for view, near in zip(views, nearer, strict=True):
+        assert torch.equal(view.triangles, near.triangles)
+        own = head[view.triangles] & (view.triangles >= 0)
+        assert torch.equal(view.inside[~own], near.inside[~own])
+        assert not (view.inside & ~near.inside).any()
+        depth = torch.from_numpy(distance_transform_edt((near.triangles >= 0).numpy()))
+        # Of what is as thick as the thickest part of all, whatever lies that deep.
+        assert near.inside[own & (depth > max(1, 0.2 * depth.max()))].all()
+        added += int(near.inside.sum() - view.inside.sum())
+    assert added > 0
 
 
 def test_only_what_is_missing_counts():

@@ -9,6 +9,7 @@ import torch
 
 from deblur_avatar.avatars import one_sided_avatar
 from deblur_avatar.avatars.avatar import TrainingStep
+from deblur_avatar.avatars.closure import VIEWS
 from deblur_avatar.avatars.one_sided_avatar import (
     OneSidedAvatar,
     OneSidedFitting,
@@ -16,6 +17,7 @@ from deblur_avatar.avatars.one_sided_avatar import (
     inpainted,
     neighbour_weights,
 )
+from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
 
 GREY, RED, BLUE = [0.5] * 3, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8]
 
@@ -280,3 +282,20 @@ def test_a_gaussian_that_is_thick_across_the_surface_is_flattened_and_no_other(g
     (pull,) = torch.autograd.grad(thick, gaussians.log_scales)
     assert pull[upright, 2] == pytest.approx(20 / 800, rel=1e-2)
     assert (pull[upright, :2].abs() < 1e-4).all()
+
+
+def test_a_crown_is_closed_that_a_plain_avatar_may_go_without(grey, body):
+    one_sided, _ = grey
+    generator = torch.Generator().manual_seed(0)
+    plain = PlainAvatar.create(
+        PlainParams(kind="plain"), body, one_sided.betas, 3, 800, "linear", generator
+    )
+    opened = []
+    for model in (one_sided, plain):
+        top = model.gaussians.means[:, 1].max()
+        with torch.no_grad():
+            model.gaussians.opacity_logits.fill_(6.0)
+            model.gaussians.opacity_logits[model.gaussians.means[:, 1] > top - 0.1] = -30.0
+            step = TrainingStep(0, 1.0, None, torch.Generator())
+            opened.append(sum(float(model._open_share(look, step)) for look in range(VIEWS)))
+    assert opened[0] > 10 * opened[1]

@@ -441,14 +441,14 @@ def test_a_run_knows_all_its_colours():
     for index in range(40):
         shade = torch.tensor([255, 255, 255 - 6 * index]).clamp(0)
         frames[index] = torch.where(frames[index] > 0, shade.byte(), frames[index])
-    looks = closer_look._looks(frames, at_first(frames, range(44)))
+    looks = same_person.looks_of(at_first(frames, range(44)), frames)
     assert [len(run) for run in closer_look._runs(looks)] == [44]
 
 
 def test_of_runs_whose_colours_do_not_tell_the_surest_one_is_hers(monkeypatch):
     monkeypatch.setattr(same_person, "TOO_SMALL", 100)
     frames = film([(60, 120)] * 8 + [None] + [(300, 60)] * 20)
-    looks = closer_look._looks(frames, at_first(frames, [*range(8), *range(9, 29)]))
+    looks = same_person.looks_of(at_first(frames, [*range(8), *range(9, 29)]), frames)
     short, long = closer_look._runs(looks)
     assert closer_look._surest([short, long]) is closer_look._surest([long, short]) is long
 
@@ -457,7 +457,7 @@ def test_who_walked_on_while_she_was_missed_is_one_person():
     places = [(100, 120)] * 20 + [None] + [(113, 120)] * 20
     frames = film(places)
     first = at_first(frames, [*range(20), *range(21, 41)])
-    assert closer_look._is_one(closer_look._looks(frames, first))
+    assert same_person.is_one(same_person.looks_of(first, frames))
     assert look_closer(frames, first) is first
 
 
@@ -465,6 +465,6 @@ def test_what_is_hardly_seen_does_not_make_a_track_two_peoples():
     frames = film([(100, 120)] * 40)
     first = at_first(frames, range(40))
     first.points[20] = sighting_of(film([(300, 60)])[0], 0.9).points
-    assert not closer_look._is_one(closer_look._looks(frames, first))
+    assert not same_person.is_one(same_person.looks_of(first, frames))
     first.visibility[20] = 0.3
-    assert closer_look._is_one(closer_look._looks(frames, first))
+    assert same_person.is_one(same_person.looks_of(first, frames))

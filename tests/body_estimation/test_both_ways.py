@@ -1,0 +1,297 @@
+"""Two people are coloured squares here: she stays, and the other walks past in front of her."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from deblur_avatar.body_estimation import same_person
+from deblur_avatar.body_estimation.both_ways import LEAST_FRAMES, RUN, TOLD, backward, told_apart
+from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting, landmarks_of
+from deblur_avatar.body_estimation.same_person import Look
+
+HEIGHT, WIDTH, FRAMES, SIZE = 80, 400, 30, 40
+STAYS = 200.0  # pixels from the left
+WHITE, PINK, BLUE = (255, 255, 255), (255, 235, 235), (0, 0, 255)
+
+
+@pytest.fixture(autouse=True)
+def squares_have_colours(monkeypatch):
+    monkeypatch.setattr(same_person, "TOO_SMALL", 10)
+    monkeypatch.setattr(same_person, "JUMP", 0.4)  # so that 30 frames are enough to walk past
+
+
+def look(who, index, size=SIZE, worn=(WHITE, PINK), away=None):
+    """Her (S), her hardly seen (s), who walks past (W), the same (w), or nobody (-)."""
+    if who == "-":
+        return None
+    stays = who in "Ss"
+    right = STAYS if stays else away or 380.0 - 12.4 * index
+    size = size if stays else SIZE
+    left, top = max(int(right - size / 2), 0), (HEIGHT - size) // 2
+    matte = torch.zeros(HEIGHT, WIDTH, dtype=torch.uint8)
+    matte[top : top + size, left : left + size] = 255
+    share = torch.linspace(0, 1, COUNT)[:, None]
+    points = torch.tensor([left, top]) + share * size
+    visibility = torch.full((COUNT,), 0.9 if who.isupper() else 0.3)
+    frame = (matte[..., None] > 0) * torch.tensor(worn[0 if stays else 1], dtype=torch.uint8)
+    return Look.of(Sighting(points, visibility, torch.ones(COUNT, 3), matte), frame)
+
+
+def track(whom, **how):
+    return [look(who, index, **how) for index, who in enumerate(whom)]
+
+
+FORTH = "S" * 12 + "W" * 18  # goes over to who walks past, where they meet
+BACK = "W" * 18 + "S" * 12
+
+
+def whom(seen):
+    """As letters; nobody where there is no look."""
+    return "".join(
+        "-" if index not in seen else "S" if float(seen[index].centre[0]) == STAYS else "W"
+        for index in range(FRAMES)
+    )
+
+
+def test_who_is_passed_is_told_from_who_passes():
+    filmed, passing = told_apart(track(FORTH), track(BACK))
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "W" * FRAMES
+
+
+def test_a_passer_by_who_comes_and_leaves_again():
+    filmed, passing = told_apart(
+        track("S" * 12 + "W" * 12 + "S" * 6), track("S" * 6 + "W" * 12 + "S" * 12)
+    )
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "-" * 6 + "W" * 18 + "-" * 6
+
+
+def test_both_tracks_may_go_over_at_once():
+    filmed, passing = told_apart(track("S" * 12 + "W" * 6 + "S" * 12), track(BACK))
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "W" * 18 + "-" * 12
+
+
+@pytest.mark.parametrize(
+    ("forth", "back"),
+    [
+        ("S" * 30, "S" * 30),
+        ("W" * 30, "W" * 30),
+        ("S" * 30, "W" * 30),
+        ("S" * 30, "W" * 12 + "S" * 18),
+        ("S" * 30, "S" * 12 + "W" * 18),
+        ("S" * 30, "-" * 30),
+        ("-" * 30, "-" * 30),
+        ("s" * 12 + "W" * 18, "W" * 18 + "s" * 12),
+    ],
+)
+def test_a_track_forth_that_shows_one_person_is_hers(forth, back):
+    assert told_apart(track(forth), track(back)) is None
+
+
+@pytest.mark.parametrize("frames", [RUN - 1, RUN])
+def test_fewer_frames_than_a_run_show_nobody(frames):
+    forth = "S" * frames + "W" * (FRAMES - frames)
+    assert (told_apart(track(forth), track("W" * FRAMES)) is None) == (frames < RUN)
+    back = "W" * (12 + frames) + "S" * (18 - frames)
+    at_last = "W" * 25 + "S" * frames + "-" * (5 - frames)
+    assert (told_apart(track(at_last), track(back)) is None) == (frames < RUN)
+
+
+def test_two_who_are_hardly_ever_seen_at_once_are_not_known():
+    forth = "S" * 13 + "W" * 17
+    assert told_apart(track(forth), track("S" * (14 - RUN) + "W" * (16 + RUN))) is None
+    assert told_apart(track(forth), track("S" * (13 - RUN) + "W" * (17 + RUN))) is not None
+
+
+def test_two_who_wear_the_same_are_not_told_apart():
+    worn = (WHITE, WHITE)
+    assert told_apart(track(FORTH, worn=worn), track(BACK, worn=worn)) is None
+    nearly = (WHITE, (255, 252, 252))  # by 1.5
+    assert told_apart(track(FORTH, worn=nearly), track(BACK, worn=nearly)) is None
+    apart = {"worn": nearly, "away": 330.0}  # where places would tell, if they never meet
+    assert told_apart(track(FORTH, **apart), track(BACK, **apart)) is None
+
+
+@pytest.mark.parametrize("color", [BLUE, (255, 245, 245)], ids=["a third", "in between"])
+def test_colours_that_are_neither_s_are_nobody(color):
+    forth, back = track(FORTH), track(BACK)
+    for index in range(12, 18):
+        forth[index] = back[index] = look("W", index, worn=(color, color))
+    filmed, passing = told_apart(forth, back)
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "W" * 12 + "-" * 6 + "W" * 12
+
+
+def test_who_is_hardly_seen_or_not_in_one_track_counts_as_neither():
+    forth = "SSS-sSSSSSSS" + FORTH[12:]
+    back = "WWWWWwWWWWWW" + "WWwWWW" + "SSSSSSSSSS-W"
+    filmed, passing = told_apart(track(forth), track(back))
+    assert whom(filmed) == "SSS--SSSSSSS" + "-" * 6 + "S" * 10 + "--"
+    assert whom(passing) == "WWWWW-WWWWWW" + "W" * 18
+
+
+def test_where_tracks_do_not_agree_on_one_nobody_is_seen():
+    forth, back = track(FORTH), track(BACK)
+    aside = forth[14].sighting
+    slid = aside._replace(points=aside.points + torch.tensor([0.5 * SIZE, 0.0]))
+    back[14] = replace(back[14], sighting=slid)
+    _, passing = told_apart(forth, back)
+    assert whom(passing) == "W" * 14 + "-" + "W" * 15
+
+
+@pytest.mark.parametrize("dark", [range(18, 30), range(10)])
+def test_where_colours_do_not_tell_places_do(dark):
+    light = {"away": 330.0}
+    shade = {"away": 330.0, "worn": ((200, 190, 190), (200, 190, 190))}
+    forth, back = (
+        [look(who, index, **(shade if index in dark else light)) for index, who in enumerate(whom)]
+        for whom in ("S" * 10 + "--" + "W" * 18, "W" * 10 + "--" + "W" * 6 + "S" * 12)
+    )
+    if dark[0] == 18:  # the longest run is one whose colours are known
+        forth[10:12], back[10:12] = track("S" * 12)[10:], track("W" * 12, **light)[10:]
+        forth[29] = back[29] = None
+    people = [whom(seen).replace("-", "") for seen in told_apart(forth, back)]
+    assert sorted({person[0] for person in people}) == ["S", "W"]
+    for person in people:
+        assert person == person[0] * len(person)
+        assert len(person) >= 22
+
+
+def test_far_from_each_other_places_tell_whatever_light_makes_of_colours():
+    """Both turn the other's colour, as behind a sun that comes into the picture."""
+    forth, back = track(FORTH, away=330.0), track(BACK, away=330.0)
+    swapped = {"away": 330.0, "worn": (PINK, WHITE)}
+    for index in range(18, 30):
+        forth[index] = look(FORTH[index], index, **swapped)
+        back[index] = look(BACK[index], index, **swapped)
+    people = told_apart(forth, back)
+    assert sorted(whom(seen) for seen in people) == ["S" * 12 + "-" * 6 + "S" * 12, "W" * 30]
+
+
+def test_places_are_told_from_one_run_to_the_next():
+    shade = {"away": 330.0, "worn": ((200, 190, 190), (200, 190, 190))}
+    forth = "S" * 10 + "W" * 9 + "S" * 11
+    back = "W" * 13 + "S" * 9 + "W" * 8
+    light = 13  # frames
+    people = told_apart(
+        *(
+            track(whom[:light], away=330.0)
+            + [look(who, index, **shade) for index, who in enumerate(whom) if index >= light]
+            for whom in (forth, back)
+        )
+    )
+    for seen in people:
+        assert len(set(whom(seen)) - {"-"}) == 1
+        assert len(seen) >= 24
+
+
+def test_where_neither_colours_nor_places_tell_nobody_is_seen():
+    forth, back = track(FORTH), track(BACK)
+    for index in range(19, 30):
+        shade = (200, 190, 190)
+        forth[index] = look(FORTH[index], index, worn=(shade, shade))
+        back[index] = look(BACK[index], index, worn=(shade, shade))
+    forth[12:19] = back[12:19] = [None] * 7
+    assert told_apart(forth, back) is None
+
+
+@pytest.mark.parametrize(("size", "filmed"), [(40, "S"), (16, "S"), (14, "W")])
+def test_who_is_much_smaller_is_not_filmed(size, filmed):
+    taken, _ = told_apart(track(FORTH, size=size), track(BACK, size=size))
+    assert set(whom(taken)) - {"-"} == {filmed}
+
+
+@pytest.mark.parametrize(("size", "filmed"), [(40, "W"), (60, "S")])
+def test_where_neither_moves_the_larger_longer_seen_one_is_filmed(size, filmed):
+    how = {"size": size, "away": 330.0}
+    taken, _ = told_apart(track(FORTH, **how), track(BACK, **how))
+    assert set(whom(taken)) - {"-"} == {filmed}
+
+
+@pytest.mark.parametrize("size", [40, 14])
+def test_which_track_saw_whom_first_decides_nothing(size):
+    forth, back = track(FORTH, size=size), track(BACK, size=size)
+    one, other = told_apart(forth, back), told_apart(back, forth)
+    assert [whom(seen) for seen in one] == [whom(seen) for seen in other]
+
+
+def test_who_turns_and_wears_other_colours_behind_is_known_by_her_place():
+    whole = "S" * 8 + "W" * 12 + "S" * 10, "W" * 20 + "S" * 10
+    forth, back = track(whole[0]), track(whole[1])
+    for index in range(20, 30):
+        forth[index] = back[index] = look("S", index, worn=(BLUE, PINK))
+    filmed, _ = told_apart(forth, back)
+    assert whom(filmed) == "S" * 8 + "-" * 12 + "S" * 10
+
+
+def test_who_stays_and_passes_through_a_shadow_is_nobody_else():
+    forth, back = track("S" * 30), track("W" * 12 + "S" * 18)
+    for index in range(18, 30):
+        forth[index] = back[index] = look("S", index, worn=((255, 238, 238), PINK))
+    assert told_apart(forth, back) is None
+
+
+def test_where_nobody_is_seen_for_a_while_people_may_have_changed_places():
+    filmed, passing = told_apart(
+        track("S" * 12 + "-" * 6 + "W" * 12), track("W" * 12 + "-" * 6 + "S" * 12)
+    )
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "W" * 12 + "-" * 6 + "W" * 12
+
+
+@pytest.mark.parametrize("third", [12, 13])
+def test_where_most_frames_show_neither_nothing_is_told(third):
+    forth, back = track(FORTH), track(BACK)
+    for index in range(FRAMES - third, FRAMES):  # a third person, elsewhere
+        forth[index] = back[index] = look("W", index, worn=(BLUE, BLUE), away=40.0)
+    assert TOLD == 0.6
+    assert (told_apart(forth, back) is None) == (third > 12)
+
+
+def test_people_of_whom_no_colours_are_known_are_not_told_apart(monkeypatch):
+    monkeypatch.setattr(same_person, "TOO_SMALL", SIZE + 1)
+    assert told_apart(track(FORTH), track(BACK)) is None
+
+
+def test_two_mattes_that_overlap_are_not_two_people():
+    how = {"away": STAYS + 24.0}  # a quarter of what they cover
+    assert told_apart(track(FORTH, **how), track(BACK, **how)) is None
+
+
+def test_tracks_without_a_matte_agree_by_their_landmarks():
+    forth, back = track(FORTH), track(BACK)
+    bare = forth[14].sighting
+    bare = bare._replace(matte=torch.zeros_like(bare.matte))
+    forth[14], back[14] = replace(forth[14], sighting=bare), replace(back[14], sighting=bare)
+    _, passing = told_apart(forth, back)
+    assert whom(passing) == "W" * FRAMES
+
+
+@pytest.mark.parametrize(("seen", "filmed"), [(10, "S"), (9, "W")])
+def test_who_is_seen_much_less_is_not_filmed(seen, filmed):
+    assert 9 < LEAST_FRAMES * FRAMES <= 10
+    forth = "S" * seen + "W" * (FRAMES - seen)
+    taken, _ = told_apart(track(forth), track("W" * FRAMES))
+    assert set(whom(taken)) - {"-"} == {filmed}
+
+
+def test_in_a_crowd_whoever_wears_several_clothes_is_nobody():
+    forth, back = track(FORTH), track(BACK)
+    forth[6:12] = [look("S", index, worn=(BLUE, PINK)) for index in range(6, 12)]
+    for index in range(6):  # after a jump
+        forth[index] = look("W", index, away=60.0, worn=(WHITE, WHITE))
+    assert told_apart(forth, back) is None
+
+
+def test_a_track_back_is_turned_round():
+    sightings = [one and one.sighting for one in track("SW-sW")]
+    forth = landmarks_of(sightings, (5, HEIGHT, WIDTH), "heavy")
+    turned = backward(landmarks_of(sightings[::-1], (5, HEIGHT, WIDTH), "heavy"))
+    for name in ("found", "points", "visibility", "mattes", "world"):
+        assert torch.equal(getattr(forth, name), getattr(turned, name))
+    assert turned.model == "heavy"
+    assert backward(replace(forth, world=None)).world is None
+    assert isinstance(turned, Landmarks)
