@@ -1,4 +1,4 @@
-"""Both ways: a track forth in time and one back tell apart two people whom each mixes up.
+"""Both ways: a track forth in time and one back tell apart people whom each mixes up.
 
 A detector that follows one person goes over to whoever passes in front of her without a jump: her
 landmarks slide. The track back goes over there, too, but to the person whom the track forth left:
@@ -8,27 +8,26 @@ who is seen in all other frames.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import isnan
+from itertools import permutations
+from math import inf, isnan
 from statistics import fmean, median
 
 import torch
 
 from deblur_avatar.body_estimation.landmarks import Landmarks
-from deblur_avatar.body_estimation.same_person import SURE, UNLIKE, Look, is_one
+from deblur_avatar.body_estimation.same_person import NEARER, RUN, UNLIKE, Look, Looks, is_one
 
 APART = 0.2  # of the area that two mattes cover, covered by both, at most: two people
-RUN = 5  # frames that show two people, one of whom is known from then on
 GAP = 2  # frames without a look from which on a person may have gone elsewhere
-NEARER = 2.0  # CIELAB's difference by which colours are one person's and not the other's
-BESIDE = 0.5  # sizes by which a place is nearer to one's than to the other's
+STEADY = 6.0  # CIELAB's difference of colours of one person in a row of frames, at most
+BESIDE = 0.5  # sizes by which a place is nearer to one's than to any other's
 WITHIN = 2.0  # sizes from where somebody was last seen, at most
-STILL, FAR = 0.5, 1.0  # sizes: who has not moved, and how much farther the other was
+STILL, FAR = 0.5, 1.0  # sizes: who has not moved, and how much farther all others were
 TOLD = 0.6  # share of the track forth of which it must be known whom it shows
 LEAST_SIZE = 0.4  # of the other's, that who is filmed has
 LEAST_FRAMES = 1 / 3  # of the other's, in which who is filmed is seen
-STAYS = 0.5  # of the other's way across the picture, at most, is the way of who stays in place
+STAYS = 0.5  # of another's way across the picture, at most, is the way of who stays in place
 
-Looks = Sequence[Look | None]  # of a track, frame after frame
 Shown = tuple[Look, ...]  # people in one frame: one, or two, found forth and back
 Stretch = dict[int, Shown]  # frames that show the same people
 Seen = dict[int, Look]  # a person, by frame
@@ -43,41 +42,42 @@ def backward(track: Landmarks) -> Landmarks:
     return replace(track, **flipped, world=world, parts=None)
 
 
-def told_apart(forth: Looks, back: Looks) -> tuple[Seen, Seen] | None:
-    """Who is filmed and who passes by, where the track forth shows both.
+def told_apart(forth: Looks, back: Looks) -> list[Seen] | None:
+    """Who is filmed, and then who passes by, where the track forth shows several people.
 
-    Who is filmed is kept in the picture while the other crosses it: she moves less across it. Where
-    neither clearly does, it is the larger, longer seen one, as it is where the other is very much
-    larger or seen very much longer. A frame that does not tell who is seen, as while one passes
-    before the other, is neither's.
+    A frame that does not tell who is seen, as while one passes before the other, is nobody's.
 
     Args:
         forth: who was found in each frame, one after the other.
         back: the same, found from the last frame to the first.
 
     Returns:
-        Both; None if the track forth shows one person, or too little tells them apart, or more than
-        two are there: one of them would wear several clothes.
+        All of them; nobody if too little tells them apart; None if the track forth shows one
+        person, or the tracks never show two at once.
     """
     pairs = list(zip(map(_surely, forth), map(_surely, back), strict=True))
-    stretches = _stretches(pairs)
+    found = _stretches(pairs)
+    if len(found) == 1 or not any(len(part) >= RUN and _is_of_two(part) for part in found):
+        return None
+    stretches = [part for part in found if _is_steady(part)]
     two = [number for number, part in enumerate(stretches) if len(part) >= RUN and _is_of_two(part)]
     if not two:
-        return None
+        return []
     surest = max(two, key=lambda number: len(stretches[number]))
     known = _tracks(stretches[surest])
     if not _differ(*known):
-        return None
-    people = _people(stretches, surest, known)
+        return []
+    people = filmed_first(_people(stretches, surest, known))
     own = [sum(pair[0] is not None and seen.get(index) is pair[0]
                for index, pair in enumerate(pairs)) for seen in people]  # fmt: skip
-    if min(own) < RUN or sum(own) < TOLD * sum(here is not None for here, _ in pairs):
-        return None
-    return _filmed_first(*people) if all(is_one(seen.values()) for seen in people) else None
+    told = sum(own) >= TOLD * sum(here is not None for here, _ in pairs)
+    if not told or not all(is_one(seen.values()) for seen in people):
+        return []
+    return people if sum(frames >= RUN for frames in own) > 1 else None
 
 
 def _surely(look: Look | None) -> Look | None:
-    return look if look is not None and look.sureness >= SURE else None
+    return look if look is not None and look.is_sure else None
 
 
 def _stretches(pairs: Sequence[tuple[Look | None, Look | None]]) -> list[Stretch]:
@@ -121,6 +121,19 @@ def _tracks(part: Stretch) -> list[list[Look]]:
     return [list(track) for track in zip(*part.values(), strict=True)]
 
 
+def _is_steady(part: Stretch) -> bool:
+    """Whether two wear in a stretch's last third what they wear in its first, if it is so long."""
+    third = len(part) // 3
+    if third < RUN or not _is_of_two(part):
+        return True
+    drifts = (
+        min(median(found) if (found := _differences(*ends)) else 0.0
+            for ends in ((track[:third], track[-third:]), (track[-third:], track[:third])))
+        for track in _tracks(part)
+    )  # fmt: skip
+    return max(drifts) <= STEADY
+
+
 def _differ(first: Sequence[Look], second: Sequence[Look]) -> bool:
     """Whether colours tell two people: those of most frames are none of the other's."""
     ways = (_differences(first, second), _differences(second, first))
@@ -133,67 +146,101 @@ def _differences(track: Sequence[Look], wearing: Sequence[Look]) -> list[float]:
     return [difference for difference in found if not isnan(difference)]
 
 
-def _people(
-    stretches: Sequence[Stretch], surest: int, known: Sequence[Sequence[Look]]
-) -> tuple[Seen, Seen]:
-    """Who is seen in each frame, from the surest stretch on, forth and then back."""
-    people: tuple[Seen, Seen] = {}, {}
-    for way, numbers in ((1, range(surest, len(stretches))), (-1, range(surest, -1, -1))):
-        last = list(stretches[surest][(min, max)[way > 0](stretches[surest])])
-        for number in numbers:
-            part = stretches[number]
-            frames = sorted(part)[::way]
-            order = (0, 1) if number == surest else _order(part, part[frames[0]], known, last)
-            for index in frames if order else ():
-                for who, look in zip(order or (), part[index], strict=True):
-                    people[who][index] = last[who] = look
-    return tuple(dict(sorted(seen.items())) for seen in people)  # type: ignore[return-value]
+def _people(stretches: Sequence[Stretch], surest: int, known: Sequence[list[Look]]) -> list[Seen]:
+    """Who is seen in each frame, from the surest stretch of two on, forth and then back."""
+    worn = list(known)
+    people = [dict(zip(stretches[surest], track, strict=True)) for track in known]
+    for way, numbers in ((1, range(surest + 1, len(stretches))), (-1, range(surest - 1, -1, -1))):
+        farthest = max if way > 0 else min
+        for part in map(stretches.__getitem__, numbers):
+            nearest = part[min(part) if way > 0 else max(part)]
+            last = [seen[farthest(seen)] for seen in people]
+            for who, track in zip(_order(part, nearest, worn, last), _tracks(part), strict=False):
+                if who == len(people):
+                    people.append({})
+                    worn.append(track)
+                people[who].update(zip(part, track, strict=True))
+    return [dict(sorted(seen.items())) for seen in people]
 
 
 def _order(
-    part: Stretch, nearest: Shown, known: Sequence[Sequence[Look]], last: Sequence[Look]
-) -> tuple[int, ...] | None:
-    """Whom a stretch shows, 0 or 1.
+    part: Stretch, nearest: Shown, worn: Sequence[Sequence[Look]], last: Sequence[Look]
+) -> tuple[int, ...]:
+    """Whom a stretch shows: numbers of people, the next free one for somebody new.
 
-    By their places where both were far apart and nobody has moved; else by their colours, which
-    light may change; and if these do not tell by places that are less clear.
+    By their places where all were far apart and nobody has moved; else by their colours, which
+    light may change; and if these do not tell by places that are less clear. Where they do not
+    either, colours that nobody has worn are somebody new's. Nobody if nothing tells.
 
     Args:
         part: the stretch.
-        nearest: its looks beside where both were last seen.
-        known: both, in frames that show them.
-        last: looks of both where they were last seen.
+        nearest: its looks beside where all were last seen.
+        worn: people, in frames that show them for sure.
+        last: their looks where they were last seen.
     """
-    orders = ((0, 1), (1, 0)) if len(nearest) == 2 else ((0,), (1,))
+    orders = list(permutations(range(len(last)), len(nearest)))
     ways = [
         fmean(float((look.centre - last[who].centre).norm()) / look.size
               for who, look in zip(order, nearest, strict=True))
         for order in orders
     ]  # fmt: skip
-    by_place = orders[ways.index(min(ways))]
-    if min(ways) <= STILL and abs(ways[0] - ways[1]) >= FAR:
+    by_place, way, ahead = _best(orders, ways)
+    if way <= STILL and ahead >= FAR:
         return by_place
-    colors = [
-        [apart for who, track in zip(order, _tracks(part), strict=True)
-         for apart in _differences(track, known[who])]
-        for order in orders
-    ]  # fmt: skip
-    if all(colors):
-        means = [fmean(found) for found in colors]
-        if min(means) <= UNLIKE and abs(means[0] - means[1]) >= NEARER:
-            return orders[means.index(min(means))]
-    clear = min(ways) <= WITHIN and abs(ways[0] - ways[1]) >= BESIDE
-    return by_place if clear else None
+    by_colors = _by_colors(part, orders, worn)
+    if by_colors:
+        return by_colors
+    if way <= WITHIN and ahead >= BESIDE:
+        return by_place
+    return _by_colors(part, _with_new(orders, len(worn)), worn) if len(part) >= RUN else ()
 
 
-def _filmed_first(first: Seen, second: Seen) -> tuple[Seen, Seen]:
-    minor = _is_minor(first, second), _is_minor(second, first)
-    if minor[0] != minor[1]:
-        return (second, first) if minor[0] else (first, second)
-    ways = _way(first), _way(second)
-    if min(ways) < STAYS * max(ways):
-        return (first, second) if ways[0] < ways[1] else (second, first)
-    return (first, second) if _extent(first) >= _extent(second) else (second, first)
+def _best(
+    orders: Sequence[tuple[int, ...]], costs: Sequence[float]
+) -> tuple[tuple[int, ...], float, float]:
+    """The order that costs least, what it costs, and how much more the next one costs."""
+    best, *others = sorted(range(len(orders)), key=costs.__getitem__)
+    return orders[best], costs[best], costs[others[0]] - costs[best] if others else inf
+
+
+def _by_colors(
+    part: Stretch, orders: Sequence[tuple[int, ...]], worn: Sequence[Sequence[Look]]
+) -> tuple[int, ...]:
+    """Whom colours name, clearly and with all in their own; nobody if they do not."""
+    apart = [[_differences(track, wearing) for wearing in worn] for track in _tracks(part)]
+    if not all(found for row in apart for found in row):
+        return ()
+    table = [[*map(fmean, row), UNLIKE] for row in apart]  # of somebody new in the last column
+    costs = [[row[who] for row, who in zip(table, order, strict=True)] for order in orders]
+    order, _, ahead = _best(orders, list(map(fmean, costs)))
+    named = ahead >= NEARER and max(costs[orders.index(order)]) <= UNLIKE
+    return order if named else ()
+
+
+def _with_new(orders: Sequence[tuple[int, ...]], new: int) -> list[tuple[int, ...]]:
+    """Orders of which one person is new; and those of one person, who may be known after all."""
+    changed = (
+        (*order[:place], new, *order[place + 1 :])
+        for order in orders for place in range(len(order))
+    )  # fmt: skip
+    known = orders if len(orders[0]) == 1 else ()
+    return list(dict.fromkeys([*changed, *known]))
+
+
+def filmed_first(people: Sequence[Seen]) -> list[Seen]:
+    """People, the one who is filmed before all others.
+
+    She is kept in the picture while others cross it: she moves less across it. Where nobody clearly
+    does, it is the larger, longer seen one, as it is where she is very much larger or seen very
+    much longer.
+    """
+    major = [
+        one for one in people
+        if not any(_is_minor(one, other) and not _is_minor(other, one) for other in people)
+    ] or people  # fmt: skip
+    least = min(map(_way, major))
+    filmed = max((seen for seen in major if STAYS * _way(seen) <= least), key=_extent)
+    return [filmed, *(seen for seen in people if seen is not filmed)]
 
 
 def _is_minor(one: Seen, other: Seen) -> bool:

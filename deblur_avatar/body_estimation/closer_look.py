@@ -18,8 +18,10 @@ from deblur_avatar.body_estimation.landmarks import (
     pose_finder,
 )
 from deblur_avatar.body_estimation.same_person import (
+    RUN,
     SURE,
     Look,
+    Looks,
     is_one,
     is_same,
     looks_of,
@@ -30,14 +32,11 @@ from deblur_avatar.run import progress
 logger = logging.getLogger(__name__)
 
 ENOUGH = 0.95  # share of frames in which she is found: a closer look is not worth its time
-RUN = 5  # frames in a row that agree: a person, and no mistake
 WINDOWS = (2.0, 3.0)  # their sides, in her sizes
 SMALLEST = 64  # pixels of a window
 GONE = 30  # frames in a row without her: she has left
 CLEAR = 0.8  # sureness of who is seen in a window, where anything may look like a person
 SAMPLES, PARTS = 16, (2, 3)  # frames searched, where nobody was found at all; windows to a side
-
-Looks = Sequence[Look | None]  # of a track, frame after frame
 
 
 def look_closer(
@@ -107,8 +106,49 @@ def follow_closely(
     return track_of(seen, person)
 
 
+def look_beside(
+    frames: UInt8[Tensor, "F H W 3"],
+    hers: Mapping[int, Look],
+    others: Sequence[Look],
+    find: PersonFinder,
+) -> dict[int, Look]:
+    """Look for a person wherever she is not known to be seen, but not for others who pass her.
+
+    In windows about where she was last; who is found there is she if colours say so.
+
+    Args:
+        frames: consecutive.
+        hers: the frames in which she is known.
+        others: in what others are seen.
+        find: the detector, for pictures without order.
+
+    Returns:
+        `hers`, and the frames in which she was found besides.
+    """
+    known, seen = list(hers.values()), dict(hers)
+    for way in (range(min(hers), len(frames)), range(max(hers), -1, -1)):
+        last, missed = seen[way.start], 0
+        for index in progress(way, "a look beside who passes"):
+            look = seen.get(index)
+            if look is None and missed < GONE:
+                look = _in_windows(frames[index], [*known, last], missed, find)
+                if look is not None and not _is_clearly(look, known, others):
+                    look = None
+            if look is None:
+                missed += 1
+            else:
+                seen[index] = last = look
+                missed = 0
+    return dict(sorted(seen.items()))
+
+
+def _is_clearly(look: Look, known: Sequence[Look], others: Sequence[Look]) -> bool:
+    """Whether colours are hers and neither those of others nor somebody unknown's."""
+    return look.is_rather(known, others) and not look.is_unlike(known)
+
+
 def _sure_frames(looks: Iterable[Look | None]) -> int:
-    return sum(look is not None and look.sureness >= SURE for look in looks)
+    return sum(look is not None and look.is_sure for look in looks)
 
 
 def _surest(runs: Sequence[dict[int, Look]]) -> dict[int, Look]:
@@ -129,7 +169,7 @@ def _strangers(first: Looks, seen: Mapping[int, Look]) -> set[int]:
     looks = list(seen.values())
     frames = {
         index for index, look in enumerate(first)
-        if look is not None and look.sureness >= SURE and seen.get(index) is not look
+        if look is not None and look.is_sure and seen.get(index) is not look
         and look.is_unlike(looks)
     }  # fmt: skip
     return frames if len(frames) < _sure_frames(looks) else set()
@@ -140,7 +180,7 @@ def _runs(looks: Looks) -> list[dict[int, Look]]:
     runs: list[dict[int, Look]] = []
     goes_on = False
     for index, look in enumerate(looks):
-        if look is None or look.sureness < SURE:
+        if look is None or not look.is_sure:
             goes_on = False
             continue
         if not (goes_on and is_same(look, list(runs[-1].values()), 0)):
@@ -174,7 +214,7 @@ def _follow(
                 or (gone and index in steady and not here.is_unlike(known))
             ):  # fmt: skip
                 look = here
-        if not gone and (look is None or look.sureness < SURE):
+        if not gone and (look is None or not look.is_sure):
             look = _in_windows(frames[index], known, missed, find) or look
         if look is None:
             missed += 1

@@ -3,7 +3,7 @@
 Such a detector may lock on to a bystander. So the person it found is hidden and it is asked again,
 on some frames; if another one is larger and longer in the picture, that one is followed. And it may
 go over to who passes in front: where anybody else is seen, it is asked from the last frame to the
-first, too, and the two tracks tell two people apart.
+first, too, and the two tracks tell people apart.
 """
 
 import logging
@@ -12,9 +12,9 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from deblur_avatar.body_estimation.both_ways import backward, told_apart
-from deblur_avatar.body_estimation.closer_look import look_closer
-from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector
+from deblur_avatar.body_estimation.both_ways import backward, filmed_first, told_apart
+from deblur_avatar.body_estimation.closer_look import look_beside, look_closer
+from deblur_avatar.body_estimation.landmarks import Landmarks, PersonDetector, pose_finder
 from deblur_avatar.body_estimation.same_person import SURE, looks_of, track_of
 
 logger = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ def detect_main_person(
     Where the detector went over to who passed by, she is who moves less across the picture.
 
     Returns:
-        That person, and how many people there are (no more than two are looked for).
+        That person, and how many people there are, as far as they were looked for.
     """
     first = detect(frames)
     if not first.found.any():
@@ -42,9 +42,9 @@ def detect_main_person(
     sample = slice(None, None, step)
     other = detect(_hidden(frames[sample], _part(first, sample)))
     if (other.visibility.median(1).values >= SURE).any():
-        alone = _told_from_a_passer_by(frames, first, detect)
-        if alone is not None:
-            return alone, 2
+        told = _told_from_others(frames, first, detect)
+        if told is not None:
+            return told
     if other.found.float().mean() < SEEN_SHARE or _size(other) == 0:
         return look_closer(frames, first), 1
     if _size(other) <= _size(_part(first, sample)):
@@ -55,23 +55,37 @@ def detect_main_person(
     return look_closer(frames, second, first), 2
 
 
-def _told_from_a_passer_by(
+def _told_from_others(
     frames: UInt8[Tensor, "F H W 3"], first: Landmarks, detect: PersonDetector
-) -> Landmarks | None:
-    """Who is filmed, where a track shows her and then who passes by; None if it does not."""
+) -> tuple[Landmarks, int] | None:
+    """Who is filmed, and how many people there are, where a track shows several; None if not."""
     if first.world is None:
         return None
     back = backward(detect(frames.flip(0)))
     people = told_apart(looks_of(first, frames), looks_of(back, frames))
     if people is None:
         return None
-    filmed, passing = people
+    if not people:
+        logger.warning(
+            "several people are seen at once, and too little tells them apart: the one who is "
+            "followed may be now one and now the other; look at check.png, and bring masks and "
+            "keypoints or choose frames with one person",
+        )
+        return None
+    if first.model is not None:
+        with pose_finder(first.model, follows=False) as find:
+            people = [
+                look_beside(frames, seen, [look for other in people if other is not seen
+                                           for look in other.values()], find)
+                for seen in people
+            ]  # fmt: skip
+    filmed = filmed_first(people)[0]
     logger.warning(
-        "two people, whom the detector mixed up: one is followed in %d frames, and the other, seen "
-        "in %d, is left out; look at check.png; to follow the other bring masks and keypoints, or "
-        "choose frames without the one", len(filmed), len(passing),
+        "%d people, whom the detector mixed up: one is followed in %d frames, and who else is "
+        "there is left out; look at check.png; to follow somebody else bring masks and keypoints, "
+        "or choose frames without the others", len(people), len(filmed),
     )  # fmt: skip
-    return track_of(filmed, first)
+    return track_of(filmed, first), len(people)
 
 
 def _part(person: Landmarks, frames: slice) -> Landmarks:

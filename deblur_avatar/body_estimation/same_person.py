@@ -23,12 +23,14 @@ FEW = 5  # landmarks that are believed: fewer, and all are
 REACH, DRIFT = 0.6, 0.1  # her sizes that she moves in a frame at most, and more for each one missed
 RESIZED = 2.5  # times as large or as small as when she was last seen, at most
 JUMP = 0.12  # her sizes: hardly anybody moves a quarter of her landmarks farther in a frame
+NEARER = 2.0  # CIELAB's difference by which colours are one person's and not the other's
 UNLIKE = 10.0  # CIELAB's difference of colours from which they are somebody else's
 PATCH = 0.09  # her sizes, half the side of the squares whose colours are taken
 TOO_SMALL = 100  # pixels: of who is smaller, colours are of what is beside her, too
 SHOULDERS, HIPS, KNEES = [11, 12], [23, 24], [25, 26]  # MediaPipe's landmarks
 CHEST, BELLY, THIGH = 0.25, 0.6, 0.4  # of the way from shoulders to hips and from hip to knee
 COMPARED = 2  # places of four in which both were seen, at least
+RUN = 5  # frames in a row that agree: a person, and no mistake
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,11 @@ class Look:
         sureness = float(sighting.visibility.median())
         return cls(sighting, sureness, (low + high) / 2, size, _colors(sighting, frame, size))
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether it is believed that this is a person."""
+        return self.sureness >= SURE
+
     def is_near(self, other: "Look", missed: int) -> bool:
         """Whether who was last seen here may be there, after so many frames without her."""
         way = float((self.centre - other.centre).norm())
@@ -69,16 +76,23 @@ class Look:
         """Whether colours are none that she was surely seen in: most places differ from all."""
         return self.difference(known) > UNLIKE
 
+    def is_rather(self, hers: Sequence["Look"], others: Sequence["Look"]) -> bool:
+        """Whether colours are hers and not those of others; not, where they do not compare."""
+        return self.difference(others) - self.difference(hers) >= NEARER
+
     def difference(self, known: Iterable["Look"]) -> float:
         """Of colours from the most alike in which she was surely seen: CIELAB's, of the median
         place. NaN where too few places compare.
         """
-        all_colors = [look.colors for look in known if look.sureness >= SURE]
+        all_colors = [look.colors for look in known if look.is_sure]
         if not all_colors:
             return math.nan
         apart = (torch.stack(all_colors) - self.colors).norm(dim=2)
         compared = apart[(~apart.isnan()).sum(1) >= COMPARED]
         return float(compared.nanmedian(1).values.min()) if len(compared) else math.nan
+
+
+Looks = Sequence[Look | None]  # of a track, frame after frame
 
 
 def looks_of(person: Landmarks, frames: UInt8[Tensor, "F H W 3"]) -> list[Look | None]:
@@ -113,7 +127,7 @@ def is_one(looks: Iterable[Look | None]) -> bool:
     """Whether a track is one person's, as far as who is surely seen in it tells."""
     known: list[Look] = []
     for look in looks:
-        if look is None or look.sureness < SURE:
+        if look is None or not look.is_sure:
             continue
         if known and is_another(look, known):
             return False

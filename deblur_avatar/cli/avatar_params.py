@@ -18,7 +18,7 @@ from deblur_avatar.config.reading import (
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.files import write_text
 from deblur_avatar.parameters import check_parameters
-from deblur_avatar.sources.footage import read_footage
+from deblur_avatar.sources.footage import check_readable
 
 PAGE = "avatar.html"
 BODY = "anny"
@@ -68,7 +68,7 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
     if path.is_file():
         content = _own(path, name, video)
     else:
-        read_footage(video, (0, 2), 1, 30.0, 16)  # what cannot be read is refused at once
+        check_readable(video)  # at once, not after minutes
         content = _new(name, video)
     recipe = _recipe(content, name, method, section_of(shared, source, "avatars", dict))
     kind = section_of(shared, source, f"avatars.{recipe}.model.kind", str)

@@ -25,6 +25,7 @@ from deblur_avatar.run import in_threads
 logger = logging.getLogger(__name__)
 
 BackgroundKind = Literal["none", "median", "aligned", "matte", "auto"]
+AT_ONCE = 32  # plates
 KNOWN_SHARE = 0.3  # of the band around the person that aligned plates must know to be worth having
 
 
@@ -87,7 +88,10 @@ def _still_plates(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W
     plates = plates_in_their_light(frames, mattes, one_plate)
     if all(plate is plates[0] for plate in plates):
         return plates
-    return in_threads(believed, frames, mattes, plates)
+    for first in range(0, len(plates), AT_ONCE):  # each as large as a frame, so no second list
+        part = slice(first, first + AT_ONCE)
+        plates[part] = in_threads(believed, frames[part], mattes[part], plates[part])
+    return plates
 
 
 def matte_edge(matte: UInt8[Tensor, "H W"]) -> Bool[Tensor, "H W"]:

@@ -25,6 +25,9 @@ ENOUGH = 3  # frames that must show a pixel's background for it to be trusted
 NEAR = 0.015  # of the picture's height: so far from a mask the person may still be in the picture
 GLANCES = 5  # frames that tell the background where nobody ever is
 NOISE, DISTINCT = 8.0, 24.0  # codes from the plate: surely the background, surely something else
+AT_ONCE = (
+    2**21
+)  # pixels of all frames that are sorted at once: memory, and no result, depends on it
 NEIGHBOURHOOD = 5  # pixels over which a difference is averaged; leaks narrower than it stay shut
 
 
@@ -43,17 +46,30 @@ def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F 
     """
     bare = mattes < BARE
     path = near_person((mattes > 0).any(0)[None])[0]
-    known = ~path | (bare.sum(0) >= ENOUGH)
+    counted = torch.from_numpy(bare.numpy().sum(0, dtype=np.int32))  # with no copy in integers
+    known = ~path | (counted >= ENOUGH)
     some = evenly_spaced(range(len(frames)), GLANCES)
     picture = frames[some].sort(dim=0).values[(len(some) - 1) // 2]
     picture[path] = 0
-    wanted = path & known
-    bare = bare[:, wanted]
-    # Sorted behind all others, what is not bare does not move the median of the rest.
-    values = torch.where(bare[..., None], frames[:, wanted], 255).sort(dim=0).values
-    middle = ((bare.sum(0) - 1) // 2)[None, :, None].expand(1, -1, 3)
-    picture[wanted] = values.gather(0, middle)[0]
+    wanted = (path & known).flatten().nonzero()[:, 0]
+    pixels, bare = frames.flatten(1, 2), bare.flatten(1)
+    parts = wanted.split(max(1, AT_ONCE // len(frames)))
+    if parts:
+        medians = in_threads(lambda part: _lower_median(pixels[:, part], bare[:, part]), parts)
+        picture.view(-1, 3)[wanted] = torch.cat(medians)
     return Plate(picture, known)
+
+
+def _lower_median(
+    values: UInt8[Tensor, "F P 3"], counts: Bool[Tensor, "F P"]
+) -> UInt8[Tensor, "P 3"]:
+    """Of those values that count, one at least: their median, the lower of two."""
+    # Sorted behind all others, what does not count does not move the median of the rest.
+    columns = torch.where(counts[..., None], values, 255).permute(1, 2, 0).contiguous().numpy()
+    columns.sort(axis=2, kind="stable")  # by radix, which is made for bytes
+    middle = (counts.sum(0).numpy() - 1) // 2
+    found = np.take_along_axis(columns, middle[:, None, None].repeat(3, axis=1), axis=2)
+    return torch.from_numpy(found[..., 0])
 
 
 def near_person(masks: Bool[Tensor, "F H W"]) -> Bool[Tensor, "F H W"]:

@@ -49,8 +49,10 @@ def plates_in_their_light(
     if most < STEADY:
         return plates
     logger.info("the light changes by up to %.1f stops: each frame's background follows it", most)
-    even = in_threads(relit, frames, -stops)
-    plates = plates_of(torch.stack(even))
+    even = torch.empty_like(frames)
+    in_threads(lambda out, frame, less: out.copy_(relit(frame, less)), even, frames, -stops)
+    plates = plates_of(even)
+    del even  # as large as the clip
     stops = _stops_of(frames, mattes, plates)
     pictures = in_threads(relit, [plate.picture for plate in plates], stops)
     return [Plate(lit, plate.known) for lit, plate in zip(pictures, plates, strict=True)]

@@ -172,8 +172,8 @@ def _pictures(
         lifted = lift_person(frames, mattes, plates, cast(AveragingSpace, averaging_space))
         nowhere = torch.zeros_like(small, dtype=torch.bool)
         return _Pictures(cut(lifted), small, comparable_pixels(small, nowhere), None)
-    behind = cut(torch.stack([plate.picture for plate in plates]))
-    known = cut(torch.stack([plate.known for plate in plates]).to(torch.uint8) * 255) == 255
+    behind = torch.cat([cut(plate.picture[None]) for plate in plates])
+    known = torch.cat([cut(plate.known[None].to(torch.uint8) * 255) == 255 for plate in plates])
     shown, comparable = scenery(cut(frames), small, behind, known)
     return _Pictures(shown, small, None if bool(comparable.all()) else comparable, behind)
 

@@ -8,7 +8,7 @@ dropped, stay in the timestamps.
 
 import logging
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.imaging.picture_files import read_picture
+from deblur_avatar.sources.fades import longest_without_fades
 from deblur_avatar.sources.footage_damage import (
     conversion,
     evenly_respaced,
@@ -33,6 +34,7 @@ logger = logging.getLogger(__name__)
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr")
 GAP = 1.5  # frame intervals from which on a frame is missing
+LOOKED_AT = 16  # rows of frames that are read only to see whether they can be
 DRIFT = 0.2  # stops of light from which on a user is told
 
 
@@ -79,15 +81,30 @@ def read_footage(
     first, stop = frames
     if stop is not None and stop - first <= stride:
         raise ConfigError(f"clip.frames: {first} to {stop} by {stride} are fewer than two frames")
+    read = _as_it_is(path, first, stop, stride, fps, height)
+    return _new_frames(_one_shot(_unfaded(read, path), path), path)
+
+
+def check_readable(path: Path) -> None:
+    """Read the first two frames of a video or a folder, whatever they show.
+
+    Raises:
+        ConfigError: if there is no such file or folder.
+        ArtifactError: if it cannot be decoded, or holds too few frames.
+    """
+    _as_it_is(path, 0, 2, 1, 1.0, LOOKED_AT)
+
+
+def _as_it_is(
+    path: Path, first: int, stop: int | None, stride: int, fps: float, height: int
+) -> Footage:
     if path.is_dir():
-        read = _read_folder(path, first, stop, stride, fps, height)
-    elif path.is_file():
-        video = read_video(path, first, stop, height, stride)
-        numbers = tuple(range(first, first + stride * len(video.frames), stride))
-        read = Footage(video.frames, video.timestamps, numbers, video.total, video.recorded_size)
-    else:
+        return _read_folder(path, first, stop, stride, fps, height)
+    if not path.is_file():
         raise ConfigError(f"clip.path: no video and no folder {path}; name the footage to be read")
-    return _new_frames(_one_shot(read, path), path)
+    video = read_video(path, first, stop, height, stride)
+    numbers = tuple(range(first, first + stride * len(video.frames), stride))
+    return Footage(video.frames, video.timestamps, numbers, video.total, video.recorded_size)
 
 
 def files_in_order(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
@@ -131,6 +148,18 @@ def _read_folder(
     )
 
 
+def _unfaded(read: Footage, path: Path) -> Footage:
+    """Leave out what fades in from one colour or out into it, and say so."""
+    first, stop = longest_without_fades(read.frames)
+    if stop - first == len(read.frames):
+        return read
+    logger.warning(
+        "%s: fades in or out; taken are frames %d to %d",
+        path, read.numbers[first], read.numbers[stop - 1],
+    )  # fmt: skip
+    return _part(read, first, stop)
+
+
 def _one_shot(read: Footage, path: Path) -> Footage:
     """Keep the longest recording of edited footage, and say which one that is.
 
@@ -151,12 +180,15 @@ def _one_shot(read: Footage, path: Path) -> Footage:
         read.numbers[first],
         read.numbers[stop - 1],
     )
-    return Footage(
+    return _part(read, first, stop)
+
+
+def _part(read: Footage, first: int, stop: int) -> Footage:
+    return replace(
+        read,
         frames=read.frames[first:stop],
         timestamps=read.timestamps[first:stop],
         numbers=read.numbers[first:stop],
-        total=read.total,
-        recorded_size=read.recorded_size,
     )
 
 

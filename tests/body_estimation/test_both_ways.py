@@ -6,13 +6,20 @@ import pytest
 import torch
 
 from deblur_avatar.body_estimation import same_person
-from deblur_avatar.body_estimation.both_ways import LEAST_FRAMES, RUN, TOLD, backward, told_apart
+from deblur_avatar.body_estimation.both_ways import (
+    LEAST_FRAMES,
+    TOLD,
+    backward,
+    filmed_first,
+    told_apart,
+)
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting, landmarks_of
-from deblur_avatar.body_estimation.same_person import Look
+from deblur_avatar.body_estimation.same_person import RUN, Look
 
 HEIGHT, WIDTH, FRAMES, SIZE = 80, 400, 30, 40
 STAYS = 200.0  # pixels from the left
 WHITE, PINK, BLUE = (255, 255, 255), (255, 235, 235), (0, 0, 255)
+BETWEEN = (255, 245, 245)
 
 
 @pytest.fixture(autouse=True)
@@ -108,21 +115,60 @@ def test_two_who_are_hardly_ever_seen_at_once_are_not_known():
 
 def test_two_who_wear_the_same_are_not_told_apart():
     worn = (WHITE, WHITE)
-    assert told_apart(track(FORTH, worn=worn), track(BACK, worn=worn)) is None
+    assert told_apart(track(FORTH, worn=worn), track(BACK, worn=worn)) == []
     nearly = (WHITE, (255, 252, 252))  # by 1.5
-    assert told_apart(track(FORTH, worn=nearly), track(BACK, worn=nearly)) is None
+    assert told_apart(track(FORTH, worn=nearly), track(BACK, worn=nearly)) == []
     apart = {"worn": nearly, "away": 330.0}  # where places would tell, if they never meet
-    assert told_apart(track(FORTH, **apart), track(BACK, **apart)) is None
+    assert told_apart(track(FORTH, **apart), track(BACK, **apart)) == []
 
 
-@pytest.mark.parametrize("color", [BLUE, (255, 245, 245)], ids=["a third", "in between"])
-def test_colours_that_are_neither_s_are_nobody(color):
+def test_colours_between_both_s_are_nobody_s():
     forth, back = track(FORTH), track(BACK)
     for index in range(12, 18):
-        forth[index] = back[index] = look("W", index, worn=(color, color))
+        forth[index] = back[index] = look("W", index, worn=(BETWEEN, BETWEEN))
     filmed, passing = told_apart(forth, back)
     assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
     assert whom(passing) == "W" * 12 + "-" * 6 + "W" * 12
+
+
+@pytest.mark.parametrize("frames", [RUN - 1, RUN])
+def test_colours_that_nobody_has_worn_are_somebody_else_s_if_seen_for_a_while(frames):
+    forth, back = track(FORTH), track(BACK)
+    third = range(13, 13 + frames)
+    for index in third:
+        forth[index] = back[index] = look("W", index, worn=(BLUE, BLUE))
+    for index in (12, 13 + frames):
+        forth[index] = back[index] = None
+    people = told_apart(forth, back)
+    assert [set(whom(seen)) - {"-"} for seen in people[:2]] == [{"S"}, {"W"}]
+    assert not set(third) & (people[0].keys() | people[1].keys())
+    assert [list(seen) for seen in people[2:]] == [list(third)] * (frames == RUN)
+
+
+def test_two_may_pass_one_after_the_other():
+    """The track forth goes over to the second of them, and the one back to the first."""
+    blue = {"worn": (WHITE, BLUE)}
+    forth = track("S" * 8 + "W" * 7 + "-" * 15)
+    back = track("W" * 15 + "-" * 15)
+    for index in range(16, 24):  # the second one comes, where the first one was at the beginning
+        forth[index] = look("W", index - 16, **blue)
+        back[index] = look("S", index)
+    for index in range(24, 30):
+        forth[index] = back[index] = look("W", index - 16, **blue)
+    filmed, *passing = told_apart(forth, back)
+    assert whom(filmed) == "S" * 8 + "-" * 8 + "S" * 8 + "-" * 6
+    assert [list(seen) for seen in passing] == [list(range(15)), list(range(16, 30))]
+
+
+@pytest.mark.parametrize("slides", [False, True])
+def test_who_wears_something_else_at_the_end_of_a_long_row_is_two_people(slides):
+    """As where a track slides over to a third one, whom the other track does not show."""
+    forth, back = (
+        track(one * 18 + other * 12, away=330.0) for one, other in (("S", "W"), ("W", "S"))
+    )
+    if slides:
+        forth[8:18] = [look("S", index, worn=(BLUE, PINK)) for index in range(8, 18)]
+    assert (told_apart(forth, back) == []) == slides
 
 
 def test_who_is_hardly_seen_or_not_in_one_track_counts_as_neither():
@@ -195,7 +241,7 @@ def test_where_neither_colours_nor_places_tell_nobody_is_seen():
         forth[index] = look(FORTH[index], index, worn=(shade, shade))
         back[index] = look(BACK[index], index, worn=(shade, shade))
     forth[12:19] = back[12:19] = [None] * 7
-    assert told_apart(forth, back) is None
+    assert told_apart(forth, back) == []
 
 
 @pytest.mark.parametrize(("size", "filmed"), [(40, "S"), (16, "S"), (14, "W")])
@@ -231,7 +277,7 @@ def test_who_stays_and_passes_through_a_shadow_is_nobody_else():
     forth, back = track("S" * 30), track("W" * 12 + "S" * 18)
     for index in range(18, 30):
         forth[index] = back[index] = look("S", index, worn=((255, 238, 238), PINK))
-    assert told_apart(forth, back) is None
+    assert not told_apart(forth, back)
 
 
 def test_where_nobody_is_seen_for_a_while_people_may_have_changed_places():
@@ -245,15 +291,15 @@ def test_where_nobody_is_seen_for_a_while_people_may_have_changed_places():
 @pytest.mark.parametrize("third", [12, 13])
 def test_where_most_frames_show_neither_nothing_is_told(third):
     forth, back = track(FORTH), track(BACK)
-    for index in range(FRAMES - third, FRAMES):  # a third person, elsewhere
-        forth[index] = back[index] = look("W", index, worn=(BLUE, BLUE), away=40.0)
+    for index in range(FRAMES - third, FRAMES):  # somebody, elsewhere
+        forth[index] = back[index] = look("W", index, worn=(BETWEEN, BETWEEN), away=40.0)
     assert TOLD == 0.6
-    assert (told_apart(forth, back) is None) == (third > 12)
+    assert (told_apart(forth, back) == []) == (third > 12)
 
 
 def test_people_of_whom_no_colours_are_known_are_not_told_apart(monkeypatch):
     monkeypatch.setattr(same_person, "TOO_SMALL", SIZE + 1)
-    assert told_apart(track(FORTH), track(BACK)) is None
+    assert told_apart(track(FORTH), track(BACK)) == []
 
 
 def test_two_mattes_that_overlap_are_not_two_people():
@@ -279,11 +325,59 @@ def test_who_is_seen_much_less_is_not_filmed(seen, filmed):
 
 
 def test_in_a_crowd_whoever_wears_several_clothes_is_nobody():
+    """Beside where she was somebody else is seen, farther than people move in a frame."""
     forth, back = track(FORTH), track(BACK)
-    forth[6:12] = [look("S", index, worn=(BLUE, PINK)) for index in range(6, 12)]
-    for index in range(6):  # after a jump
-        forth[index] = look("W", index, away=60.0, worn=(WHITE, WHITE))
-    assert told_apart(forth, back) is None
+    for index in range(24, FRAMES):
+        back[index] = look("W", index, away=STAYS + 0.45 * SIZE, worn=(BLUE, BLUE))
+    assert told_apart(forth, back) == []
+    back[24:] = [None] * 6
+    assert told_apart(forth, back)
+
+
+def test_two_who_never_meet_are_never_mixed_up():
+    worn = {"worn": (WHITE, WHITE), "away": 330.0}
+    assert told_apart(track("S" * FRAMES, **worn), track("W" * FRAMES, **worn)) is None
+
+
+def test_the_light_on_one_person_alone_may_change_evenly():
+    """She wears other colours at the end than at the beginning, and nobody else is near."""
+    forth, back = track("S" * 6 + "W" * 6 + "S" * 18), track("W" * 12 + "S" * 18)
+    for index in range(12, 30):
+        shade = 255 - 3 * (index - 12)
+        forth[index] = back[index] = look("S", index, worn=((shade, shade, shade), PINK))
+    filmed, _ = told_apart(forth, back)
+    assert whom(filmed) == "S" * 6 + "-" * 6 + "S" * 18
+
+
+def test_in_new_colours_a_person_stays_who_she_must_be_by_her_place():
+    """Who walks past goes on in a shadow; she who stays is too far off to be meant."""
+    forth, back = track("S" * 12 + "W" * 18), track("W" * 12 + "S" * 6 + "-" * 12)
+    for index in range(18, 30):
+        forth[index] = look("W", index, worn=(WHITE, BLUE))
+    people = told_apart(forth, back)
+    assert len(people) == 2
+
+
+def a_person(frames, size, right, step=0.0):
+    made = {}
+    for index in frames:
+        seen = look("W", index, away=right + step * index)
+        made[index] = replace(seen, size=float(size))
+    return made
+
+
+def test_who_is_filmed_is_neither_the_small_nor_the_brief_one():
+    filmed = a_person(range(100), 40, 200.0, 0.1)
+    near, tiny = a_person(range(20), 120, 20.0, 9.0), a_person(range(6), 8, 300.0)
+    assert filmed_first([near, tiny, filmed])[0] is filmed
+
+
+def test_who_walks_past_two_who_stay_is_not_filmed():
+    stays, beside = a_person(range(60), 40, 200.0), a_person(range(50), 40, 300.0)
+    walks = a_person(range(60), 60, 20.0, 5.0)
+    for people in ([stays, beside, walks], [walks, beside, stays]):
+        assert filmed_first(people)[0] is stays
+        assert sorted(map(id, filmed_first(people))) == sorted(map(id, people))
 
 
 def test_a_track_back_is_turned_round():

@@ -1,4 +1,4 @@
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 
 import pytest
@@ -9,6 +9,7 @@ from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting, 
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 
 FRAMES, HEIGHT, WIDTH = 10, 60, 120
+FRAMES_PASSED = 24  # of a film in which somebody walks past
 LEFT, RIGHT = slice(10, 30), slice(80, 100)
 
 
@@ -107,9 +108,6 @@ def passed_by(leaves: bool) -> torch.Tensor:
     return frames
 
 
-FRAMES_PASSED = 24
-
-
 def keeps_to_who_is_in_front(frames: torch.Tensor) -> Landmarks:
     """Follows her in white, or who covers her, from then on; it begins with her in white."""
     sightings, follows_pink = [], False
@@ -130,7 +128,24 @@ def keeps_to_who_is_in_front(frames: torch.Tensor) -> Landmarks:
     return landmarks_of(sightings, tuple(frames.shape[:3]), "heavy")
 
 
-def test_who_passes_in_front_is_left_out_and_said(monkeypatch, caplog):
+@pytest.fixture
+def asked_beside(monkeypatch):
+    """What a look beside who passes is asked; it finds her in one frame more."""
+    asked = []
+
+    def look(frames, hers, others, find):
+        asked.append((len(frames), dict(hers), list(others), find))
+        missing = [index for index in range(len(frames)) if index not in hers]
+        return {**hers, **dict.fromkeys(missing[:1], next(iter(hers.values())))}
+
+    monkeypatch.setattr(person_choice, "look_beside", look)
+    monkeypatch.setattr(
+        person_choice, "pose_finder", lambda model, follows: nullcontext((model, follows))
+    )
+    return asked
+
+
+def test_who_passes_in_front_is_left_out_and_said(asked_beside, monkeypatch, caplog):
     monkeypatch.setattr(same_person, "TOO_SMALL", 10)
     frames = passed_by(leaves=True)
     first = keeps_to_who_is_in_front(frames)
@@ -140,8 +155,38 @@ def test_who_passes_in_front_is_left_out_and_said(monkeypatch, caplog):
     places = person.points[person.found, :, 0]
     assert ((places >= 50) & (places <= 70)).all()  # hers, some of it hidden
     assert int(person.found.sum()) >= 14
-    assert "mixed up: one is followed in" in caplog.text
     assert person.model == "heavy"
+    (count, hers, others, find), (_, passing, her_others, _) = asked_beside
+    assert (count, find) == (FRAMES_PASSED, ("heavy", False))
+    assert all(50 <= float(look.centre[0]) <= 70 for look in hers.values())
+    assert others == list(passing.values())
+    assert her_others == list(hers.values())
+    assert min(len(hers), len(others)) >= 14
+    assert int(person.found.sum()) == len(hers) + 1
+    assert f"mixed up: one is followed in {len(hers) + 1} frames" in caplog.text
+
+
+def test_who_is_filmed_is_told_by_what_a_look_beside_finds(asked_beside, monkeypatch):
+    monkeypatch.setattr(same_person, "TOO_SMALL", 10)
+    people = []
+    monkeypatch.setattr(
+        person_choice, "filmed_first", lambda seen: people.extend(seen) or [seen[1], seen[0]]
+    )
+    frames = passed_by(leaves=True)
+    person, _ = detect_main_person(frames, keeps_to_who_is_in_front)
+    (_, hers, _, _), (_, passing, _, _) = asked_beside
+    assert [len(seen) for seen in people] == [len(hers) + 1, len(passing)]
+    assert int(person.found.sum()) == len(passing) == FRAMES_PASSED
+
+
+def test_two_whom_nothing_tells_apart_are_said(asked_beside, monkeypatch, caplog):
+    monkeypatch.setattr(same_person, "TOO_SMALL", 1000)  # nobody's colours are known
+    monkeypatch.setattr(person_choice, "look_closer", lambda frames, person: person)
+    frames = passed_by(leaves=True)
+    person, _ = detect_main_person(frames, keeps_to_who_is_in_front)
+    assert torch.equal(person.points, keeps_to_who_is_in_front(frames).points)
+    assert "may be now one and now the other" in caplog.text
+    assert not asked_beside
 
 
 def test_who_stays_beside_costs_a_second_look_and_changes_nothing(monkeypatch, caplog):
@@ -159,6 +204,7 @@ def test_who_stays_beside_costs_a_second_look_and_changes_nothing(monkeypatch, c
     assert (person.points[:, 0, 0] == 50).all()
     assert asked == [FRAMES_PASSED, FRAMES_PASSED, FRAMES_PASSED]
     assert "mixed up" not in caplog.text
+    assert "may be now one" not in caplog.text
     asked.clear()
     frames[:, :, 90:] = 0
     detect_main_person(frames, detect)

@@ -218,6 +218,13 @@ def test_a_video_that_cannot_be_read_is_refused_before_anything_is_written(root:
     assert not (root / "avatars").exists()
 
 
+def test_a_video_that_begins_with_frames_alike_is_taken(root: Path):
+    """As one that fades in: whether it can be read is asked of its first two frames."""
+    alike = write_video(root / "alike.mp4", [picture(index // 2) for index in range(6)])
+    prepare(alike, "anna", "lean", "medium", root)
+    assert (root / "avatars" / "anna" / "params.yaml").is_file()
+
+
 @pytest.mark.parametrize(
     ("file", "name"),
     [("clip.mp4", "clip"), ("2024-05-01.MOV", "v_2024_05_01"), ("Ä.mp4", "video")],

@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from deblur_avatar.imaging import matting
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.exposure import decode, encode, over
 from deblur_avatar.imaging.matting import (
@@ -50,6 +51,20 @@ def test_the_plate_shows_what_the_person_hid():
     plate = background_plate(frames, mattes)
     assert plate.known.all()
     assert torch.equal(plate.picture, codes(background()))
+
+
+@pytest.mark.parametrize("pixels", [1, 50, 2**21])
+def test_the_plate_is_the_same_however_much_is_sorted_at_once(monkeypatch, pixels: int):
+    frames, mattes = walk()
+    noisy = frames + torch.randint(0, 9, frames.shape, generator=torch.Generator().manual_seed(0))
+    noisy = noisy.clamp(max=255).to(torch.uint8)
+    monkeypatch.setattr(matting, "AT_ONCE", pixels)
+    plate = background_plate(noisy, mattes)
+    for row, column in ((3, 2), (12, 9), (12, 20), (20, 33)):
+        seen = noisy[mattes[:, row, column] < matting.BARE, row, column]
+        if plate.known[row, column] and bool((mattes[:, row, column] > 0).any()):
+            middle = seen.sort(dim=0).values[(len(seen) - 1) // 2]
+            assert plate.picture[row, column].tolist() == middle.tolist()
 
 
 def test_the_plate_is_a_median_so_that_a_passing_shadow_does_not_show():
