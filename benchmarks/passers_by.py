@@ -81,17 +81,17 @@ def drawn(body: Body, walks: Sequence[Walk], seed: int, frames: int) -> Film:
     """Draw somebody on the spot, whom others pass."""
     generator = torch.Generator().manual_seed(seed)
 
-    def dressed(look: str | None) -> Person:
+    def somebody(look: str | None) -> Person:
         betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
         return create_person(body, betas, LOOKS[look] if look else None)
 
     times = torch.arange(frames) / FPS
-    people = [(0.0, (person := dressed(None)), person.posed(improvise(generator)(times, 1.0)))]
+    people = [(0.0, (person := somebody(None)), person.posed(improvise(generator)(times, 1.0)))]
     for walk in walks:
         params = PasserByParams(
             depth_m=walk.depth_m, speed_m_s=walk.speed_m_s, middle_s=walk.middle_s
         )
-        other = PasserBy(dressed(walk.look), params)
+        other = PasserBy(somebody(walk.look), params)
         people.append((walk.depth_m, other.person, iter(other.instants(times.double()))))
     view = View.of(place_cameras(2, SIZE, RING), 0, samples_per_axis=2)
     behind = draw_backdrop(street(np.random.default_rng(seed)), view.K, view.viewmat, (SIZE, SIZE))

@@ -22,6 +22,10 @@ LENGTH = struct.Struct("!I")  # of a request
 STATUS = struct.Struct("!i")  # an exit code, or minus the signal that ended the script
 TAKEN = b"+"  # what the server says when it has a request
 RELAYED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+KILLED = (
+    "this was killed, as a system does whose memory is full: take fewer or smaller frames "
+    "(clip.frames, clip.image_height), or end what else runs on it\n"
+)
 STREAMS = (0, 1, 2)  # standard input, output and error
 
 
@@ -70,6 +74,8 @@ def main(place: str, python: str, *words: str) -> int:
         sys.stderr.write("the process that runs stages was killed\n")
         return 128 + signal.SIGKILL
     (status,) = STATUS.unpack(answer)
+    if status == -signal.SIGKILL:
+        sys.stderr.write(KILLED)
     return status if status >= 0 else 128 - status
 
 

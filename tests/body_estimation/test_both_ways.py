@@ -160,14 +160,17 @@ def test_two_may_pass_one_after_the_other():
     assert [list(seen) for seen in passing] == [list(range(15)), list(range(16, 30))]
 
 
-@pytest.mark.parametrize("slides", [False, True])
-def test_who_wears_something_else_at_the_end_of_a_long_row_is_two_people(slides):
+@pytest.mark.parametrize(
+    ("color", "slides"),
+    [(WHITE, False), ((248, 255, 248), False), ((240, 255, 240), True), (BLUE, True)],
+    ids=["the same", "much the same, by 4.7", "others, by 9.7", "quite others"],
+)
+def test_who_wears_something_else_at_the_end_of_a_long_row_is_two_people(color, slides):
     """As where a track slides over to a third one, whom the other track does not show."""
     forth, back = (
         track(one * 18 + other * 12, away=330.0) for one, other in (("S", "W"), ("W", "S"))
     )
-    if slides:
-        forth[8:18] = [look("S", index, worn=(BLUE, PINK)) for index in range(8, 18)]
+    forth[8:18] = [look("S", index, worn=(color, PINK)) for index in range(8, 18)]
     assert (told_apart(forth, back) == []) == slides
 
 
@@ -370,6 +373,8 @@ def test_who_is_filmed_is_neither_the_small_nor_the_brief_one():
     filmed = a_person(range(100), 40, 200.0, 0.1)
     near, tiny = a_person(range(20), 120, 20.0, 9.0), a_person(range(6), 8, 300.0)
     assert filmed_first([near, tiny, filmed])[0] is filmed
+    far = a_person(range(290), 15, 300.0)  # behind her all the time, and seen longer
+    assert filmed_first([far, filmed])[0] is filmed
 
 
 def test_who_walks_past_two_who_stay_is_not_filmed():

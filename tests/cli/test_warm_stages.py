@@ -110,7 +110,7 @@ def test_a_script_finds_what_python_would_give_it(
             "",
         ),
         ("print('out', end='')", 0, ""),
-        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", 137, ""),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", 137, "else runs on it\n"),
         ("import atexit; atexit.register(lambda: open('left', 'w'))", 0, ""),
     ],
 )
