@@ -42,6 +42,7 @@ from deblur_avatar.files import read_json
 
 logger = logging.getLogger(__name__)
 
+HARDLY = 0.5  # of the shutter's time that it may be off: from there on it is hardly known
 EXAMPLES = """\
 examples:
   deblur-avatar video clip.mp4
@@ -187,9 +188,11 @@ def _tell_shutter(fitted: dict[str, Any]) -> None:
     source, seconds = fitted.get("shutter_from"), fitted.get("shutter_s", 0.0)
     if source == "frames":
         std = fitted["shutter_std_s"]
+        hardly = std > HARDLY * seconds
         logger.info(
-            "The shutter:  open for %.1f ms, give or take %.1f, as the frames tell",
+            "The shutter:  open for %.1f ms, give or take %.1f, as the frames %s",
             1e3 * seconds, 1e3 * std,
+            "hardly tell; set clip.exposure_s where you know better" if hardly else "tell",
         )  # fmt: skip
     elif source == "guess":
         logger.info("The shutter:  %.1f ms is a guess, nothing moved enough to tell", 1e3 * seconds)

@@ -459,15 +459,23 @@ def test_what_is_not_installed_is_said_before_anything_is_written(root, video, m
 
 
 @pytest.mark.parametrize(
-    ("source", "said"),
+    ("source", "std", "said"),
     [
-        ("frames", "open for 31.0 ms, give or take 8.0, as the frames tell"),
-        ("guess", "31.0 ms is a guess, nothing moved enough to tell"),
-        (None, ""),
+        ("frames", 8.0, "open for 31.0 ms, give or take 8.0, as the frames tell"),
+        (
+            "frames",
+            16.0,
+            "open for 31.0 ms, give or take 16.0, as the frames hardly tell; set clip.exposure_s "
+            "where you know better",
+        ),
+        ("guess", 8.0, "31.0 ms is a guess, nothing moved enough to tell"),
+        (None, 8.0, ""),
     ],
 )
-def test_how_long_the_shutter_was_open_is_said_where_the_footage_does_not(caplog, source, said):
-    told = {"shutter_s": 0.031, "shutter_std_s": 0.008, "shutter_from": source}
+def test_how_long_the_shutter_was_open_is_said_where_the_footage_does_not(
+    caplog, source, std, said
+):
+    told = {"shutter_s": 0.031, "shutter_std_s": std / 1e3, "shutter_from": source}
     with caplog.at_level(logging.INFO):
         command._tell_shutter({} if source is None else told)
     assert [said] == [line.removeprefix("The shutter:  ") for line in caplog.messages or [""]]
