@@ -25,9 +25,7 @@ ENOUGH = 3  # frames that must show a pixel's background for it to be trusted
 NEAR = 0.015  # of the picture's height: so far from a mask the person may still be in the picture
 GLANCES = 5  # frames that tell the background where nobody ever is
 NOISE, DISTINCT = 8.0, 24.0  # codes from the plate: surely the background, surely something else
-AT_ONCE = (
-    2**21
-)  # pixels of all frames that are sorted at once: memory, and no result, depends on it
+AT_ONCE = 2**21  # pixels of all frames that are sorted at once; changes no result
 NEIGHBOURHOOD = 5  # pixels over which a difference is averaged; leaks narrower than it stay shut
 
 
@@ -54,9 +52,8 @@ def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F 
     wanted = (path & known).flatten().nonzero()[:, 0]
     pixels, bare = frames.flatten(1, 2), bare.flatten(1)
     parts = wanted.split(max(1, AT_ONCE // len(frames)))
-    if parts:
-        medians = in_threads(lambda part: _lower_median(pixels[:, part], bare[:, part]), parts)
-        picture.view(-1, 3)[wanted] = torch.cat(medians)
+    medians = in_threads(lambda part: _lower_median(pixels[:, part], bare[:, part]), parts)
+    picture.view(-1, 3)[wanted] = torch.cat(medians)
     return Plate(picture, known)
 
 

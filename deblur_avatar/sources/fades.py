@@ -25,7 +25,7 @@ def longest_without_fades(frames: UInt8[Tensor, "F H W 3"]) -> tuple[int, int]:
     blank = contrast <= BLANK * np.median(contrast)
     if blank.all() or not blank.any():
         return 0, len(frames)
-    parts = [_without_fades(contrast, blank, *part) for part in _between(blank)]
+    parts = [_without_fades(contrast, *part) for part in _between(blank)]
     return max(parts, key=lambda part: part[1] - part[0])
 
 
@@ -39,12 +39,11 @@ def _between(blank: Bool[np.ndarray, " F"]) -> list[tuple[int, int]]:
     return [(a, b) for a, b in zip(starts, stops, strict=True) if b > a]
 
 
-def _without_fades(
-    contrast: Float[np.ndarray, " F"], blank: Bool[np.ndarray, " F"], first: int, stop: int
-) -> tuple[int, int]:
+def _without_fades(contrast: Float[np.ndarray, " F"], first: int, stop: int) -> tuple[int, int]:
+    """A part, less its fades from the blank frames before it and into those behind it."""
     inside = contrast[first:stop]
-    low = _fade(inside) if first > 0 and blank[first - 1] else 0
-    high = _fade(inside[::-1]) if stop < len(blank) and blank[stop] else 0
+    low = _fade(inside) if first > 0 else 0
+    high = _fade(inside[::-1]) if stop < len(contrast) else 0
     return (first + low, stop - high) if low + high < len(inside) else (first, stop)
 
 
