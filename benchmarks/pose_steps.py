@@ -33,12 +33,12 @@ from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_media
 from deblur_avatar.body_estimation.monocular_prior import HIPS
 from deblur_avatar.body_estimation.person_choice import detect_main_person
 from deblur_avatar.body_estimation.pose_model import PoseModel
+from deblur_avatar.body_estimation.trimming import trimmed
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.comparisons import true_poses
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import BackgroundEstimator
-from deblur_avatar.imaging.matting import trim_mattes
 
 SMALLER = "as estimated, smaller pose model"
 FITS = {
@@ -78,9 +78,7 @@ def detected(clip: BlurryClip, model: PoseModel) -> Landmarks:
     frames = clip.frames[0]
     person, _ = detect_main_person(frames, partial(detect_with_mediapipe, model=model))
     background = BackgroundEstimator(frames).background("auto", person.mattes)
-    if background.plates is None:
-        return person
-    return replace(person, mattes=trim_mattes(frames, person.mattes, background.plates))
+    return trimmed(frames, person, background, by_limbs=False)
 
 
 def with_truth(

@@ -49,11 +49,25 @@ def stage_of_clip(observations: Observations, betas: Float[Tensor, " B"]) -> Sta
     Raises:
         ValueError: as `stage_of`.
     """
-    filmed = replace(observations.poses, betas=betas)
     return stage_of(
-        posed(observations.body, filmed).joints, observations.camera.viewmat,
+        _joints_filmed(observations, betas), observations.camera.viewmat,
         world_is_a_cameras=observations.cameras.world_is_a_cameras,
     )  # fmt: skip
+
+
+def up_of_clip(observations: Observations, betas: Float[Tensor, " B"]) -> Float[Tensor, " 3"]:
+    """Unit vector against gravity, in the world: the stage's, which every clip has."""
+    return up_direction(
+        _joints_filmed(observations, betas), observations.camera.viewmat,
+        world_is_a_cameras=observations.cameras.world_is_a_cameras,
+    )  # fmt: skip
+
+
+def _joints_filmed(
+    observations: Observations, betas: Float[Tensor, " B"]
+) -> Float[Tensor, "F J 3"]:
+    """In the poses that fitting started from."""
+    return posed(observations.body, replace(observations.poses, betas=betas)).joints
 
 
 def stage_of(

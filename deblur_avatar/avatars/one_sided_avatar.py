@@ -53,6 +53,7 @@ from deblur_avatar.rendering.covariance_factors import covariance_factors
 LOOKS = 48  # frames at most, spread over the clip
 NEIGHBOURS = 8
 FAR = 1e-4  # weight of a neighbour however far it is, so that no Gaussian is alone
+SURE_SHARE = 0.2  # of all Gaussians go on to others at least: those that show most
 OWN = 1e-9  # of a Gaussian's own colour, where all that it is connected with is unseen
 ROUNDS = 12  # of reweighting; the first one's colours are harmonic
 ALIKE = 0.01  # colours this near to each other count as one
@@ -80,7 +81,7 @@ class OneSidedFitting(PlainFitting):
     """As a plain one; and of how many pixels each Gaussian shows in the frame of most."""
 
     least_pixels: Positive  # with fewer its colour is unknown
-    sure_pixels: Positive  # with as many it may go on to others
+    sure_pixels: Positive  # with as many it may go on to others; or where few have them, with fewer
     regularisers: OneSidedSmoothness
 
     @model_validator(mode="after")
@@ -113,7 +114,9 @@ class OneSidedAvatar(PlainAvatar):
     def inpaint(self, fitting: OneSidedFitting, observations: Observations, centre: Poses) -> None:
         """Fill in the colours of Gaussians that show too little of themselves in every frame."""
         pixels = self.most_pixels(observations, centre).cpu().numpy()
-        unknown, sure = pixels < fitting.least_pixels, pixels >= fitting.sure_pixels
+        few = np.quantile(pixels, 1 - SURE_SHARE)  # of somebody small in the picture: all show few
+        enough = max(min(fitting.sure_pixels, few), fitting.least_pixels)
+        unknown, sure = pixels < fitting.least_pixels, pixels >= enough
         if not unknown.any() or not sure.any():
             return
         features = self.gaussians.features

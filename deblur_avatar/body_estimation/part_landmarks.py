@@ -88,7 +88,7 @@ def detect_parts(
     hands, face = np.zeros((count, 2, HAND_COUNT, 3)), np.zeros((count, len(FACE_ROWS), 3))
     left, hand_found = np.full((count, 2), 0.5), np.zeros((count, 2), bool)
     face_found = np.zeros(count, bool)
-    sizes = _sizes(points.numpy(), visibility.numpy() > 0)
+    sizes = marked_sizes(points.numpy(), visibility.numpy() > 0)
     large = np.flatnonzero(sizes >= SMALLEST)
     if len(large) < count:
         logger.info(
@@ -125,10 +125,15 @@ def detect_parts(
     )
 
 
-def _sizes(
+def marked_sizes(
     points: Float[np.ndarray, "F L 2"], marked: Bool[np.ndarray, "F L"]
 ) -> Float[np.ndarray, " F"]:
-    """The longer side of a person's box, lying or standing, steady over time; 0: not found."""
+    """The longer side of a person's box, lying or standing, steady over time; 0: not found.
+
+    Args:
+        points: landmarks, pixels.
+        marked: which of them the detector has: some know fewer than MediaPipe's.
+    """
     low = np.where(marked[..., None], points, np.inf).min(1)
     high = np.where(marked[..., None], points, -np.inf).max(1)
     found = np.flatnonzero(marked.any(1))

@@ -5,6 +5,7 @@ silhouette than `MARGIN`, measured in the picture at the body's depth: clothes a
 off that far, surroundings stand farther. Shares are of the avatar's whole coverage.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from deblur_avatar.animation.placement import framed_intrinsics
+from deblur_avatar.animation.stage import up_of_clip
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
@@ -32,6 +34,7 @@ from deblur_avatar.geometry.spacing import evenly_spaced
 MARGIN = 0.15  # metres that clothes and hair may stand off the body
 FRAMES = 12  # of the training camera that are looked at
 SIDES = 8  # of the turntable
+UPRIGHT = math.radians(15)  # from up: a mean trunk that leans less stands
 TURNTABLE_SIZE = 192  # pixels
 ROOM = (
     0.35  # around the body on the turntable, as a share of its box: what floats is in the picture
@@ -85,17 +88,31 @@ def turntable(model: AvatarModel, observations: Observations, motion: Motion) ->
     """The avatar from all sides, each in the pose of another training frame."""
     chosen = evenly_spaced(observations.train, SIDES)
     body = observations.body
-    joints = posed(body, motion.centre.at(list(observations.train))).joints
-    trunks = joints[:, body.joint_names.index("neck")] - joints[:, 0]
-    up = torch.nn.functional.normalize(trunks.mean(0), dim=0)  # a leaning person stands on average
+    axis = _axis(observations, motion.centre)
     looks = []
     for side in range(SIDES):
         poses = motion.centre.at([chosen[side * len(chosen) // SIDES]])
-        camera = _beside(observations, poses, 2 * np.pi * side / SIDES * up)
+        camera = _beside(observations, poses, 2 * np.pi * side / SIDES * axis)
         image, alpha = render_avatar(model, poses, camera)
         distance = silhouette_distance(posed(body, poses), camera)
         looks.append(Look(image[0].cpu(), alpha[0].cpu(), distance))
     return looks
+
+
+def _axis(observations: Observations, fitted: Poses) -> Float[Tensor, " 3"]:
+    """What the turntable turns about, a unit vector in the world.
+
+    The person's own mean trunk: who stands leans now and then, but stands on average. Who bends or
+    lies does not; in a world that is a camera's, as of all clips that are a file, she is turned
+    about the stage's up (docs/decisions/0074).
+    """
+    joints = posed(observations.body, fitted.at(list(observations.train))).joints
+    trunks = joints[:, observations.body.joint_names.index("neck")] - joints[:, 0]
+    trunk = torch.nn.functional.normalize(trunks.mean(0), dim=0)
+    if not observations.cameras.world_is_a_cameras:
+        return trunk
+    up = up_of_clip(observations, fitted.betas)
+    return trunk if trunk @ up > math.cos(UPRIGHT) else up
 
 
 def _beside(observations: Observations, poses: Poses, angle: Float[Tensor, " 3"]) -> Camera:

@@ -25,8 +25,8 @@ from deblur_avatar.imaging.background_features import (
     matches,
 )
 from deblur_avatar.imaging.camera_motion import background_mask
-from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate
-from deblur_avatar.imaging.plate_light import plates_in_their_light
+from deblur_avatar.imaging.matting import BARE, ENOUGH, Plate, in_parts
+from deblur_avatar.imaging.plate_light import even_plates
 from deblur_avatar.run import in_threads
 
 RANSAC_PIXELS = 2.0  # from a homography, still an inlier
@@ -46,7 +46,7 @@ class Alignment(NamedTuple):
 
 def aligned_plates(
     frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"], features: FrameFeatures
-) -> list[Plate] | None:
+) -> tuple[list[Plate], Float[Tensor, "F 3"] | None] | None:
     """The background behind the person in each frame of a moving camera.
 
     Args:
@@ -55,8 +55,8 @@ def aligned_plates(
         features: of these frames.
 
     Returns:
-        One plate a frame, each known only where it agrees with the frame around; None if the frames
-        cannot be aligned.
+        One plate a frame, each known only where it agrees with the frame around, and the stops of
+        its light where that changes; None if the frames cannot be aligned.
     """
     alignment = align_frames(features, mattes)
     if alignment is None:
@@ -69,8 +69,12 @@ def aligned_plates(
             alignment.mosaic_from_frame,
         )
 
-    plates = plates_in_their_light(frames, mattes, warped_back)
-    return in_threads(believed, frames, mattes, plates)
+    even = even_plates(frames, mattes, warped_back)
+    plates = even.plates
+    for part in in_parts(len(plates)):  # in place: all of them are as large as the clip
+        lit = in_threads(even.lit, range(len(plates))[part])
+        plates[part] = in_threads(believed, frames[part], mattes[part], lit)
+    return plates, even.stops
 
 
 def align_frames(features: FrameFeatures, mattes: UInt8[Tensor, "F H W"]) -> Alignment | None:

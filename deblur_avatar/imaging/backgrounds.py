@@ -7,25 +7,25 @@ the frames allow.
 """
 
 import logging
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, overload
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.imaging.aligned_plates import aligned_plates, believed
 from deblur_avatar.imaging.background_features import FrameFeatures
 from deblur_avatar.imaging.camera_motion import STILL, background_travel
 from deblur_avatar.imaging.matting import Plate, background_plate, no_plate
-from deblur_avatar.imaging.plate_light import plates_in_their_light
+from deblur_avatar.imaging.plate_light import EvenPlates, even_plates
 from deblur_avatar.run import in_threads
 
 logger = logging.getLogger(__name__)
 
 BackgroundKind = Literal["none", "median", "aligned", "matte", "auto"]
-AT_ONCE = 32  # plates
 KNOWN_SHARE = 0.3  # of the band around the person that aligned plates must know to be worth having
 
 
@@ -33,12 +33,35 @@ class Background(NamedTuple):
     """What is known of the background of one camera's frames."""
 
     kind: BackgroundKind
-    plates: list[Plate] | None  # one a frame; None where frames show the person on black
+    plates: Sequence[Plate] | None  # one a frame; None where frames show the person on black
+    one: Plate | None  # that lies behind all frames, where they do not differ
+    light: Float[Tensor, "F 3"] | None  # stops of frames' light from all others', where it changes
 
-    @property
-    def distinct(self) -> list[Plate]:
-        """The plates, once each."""
-        return list({id(plate): plate for plate in self.plates or []}.values())
+
+class _LitPlates(Sequence[Plate]):
+    """One plate in each frame's light, known where it agrees with the frame.
+
+    Made when it is asked for: all of them are as large as the clip.
+    """
+
+    def __init__(
+        self, frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"], even: EvenPlates
+    ) -> None:
+        self._frames, self._mattes, self._even = frames, mattes, even
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @overload
+    def __getitem__(self, index: int) -> Plate: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Plate]: ...
+
+    def __getitem__(self, index: int | slice) -> Plate | list[Plate]:
+        if isinstance(index, slice):
+            return in_threads(self.__getitem__, range(len(self))[index])
+        return believed(self._frames[index], self._mattes[index], self._even.lit(index))
 
 
 class BackgroundEstimator:
@@ -51,7 +74,7 @@ class BackgroundEstimator:
     def background(self, kind: BackgroundKind, mattes: UInt8[Tensor, "F H W"]) -> Background:
         """The background of the frames; `auto` is settled by what they show."""
         if kind == "none":
-            return Background(kind, None)
+            return Background(kind, None, None, None)
         if kind == "auto":
             travel = background_travel(self._frames, mattes)
             if travel is not None and travel < STILL:
@@ -60,38 +83,39 @@ class BackgroundEstimator:
             else:
                 kind = "aligned"
         if kind == "median":
-            return Background(kind, _still_plates(self._frames, mattes))
+            return _still(self._frames, mattes)
         if kind == "aligned":
-            plates = aligned_plates(self._frames, mattes, self._features)
-            share = 0.0 if plates is None else _known_share(plates, mattes)
-            if plates is not None and share >= KNOWN_SHARE:
+            aligned = aligned_plates(self._frames, mattes, self._features)
+            share = 0.0 if aligned is None else _known_share(aligned[0], mattes)
+            if aligned is not None and share >= KNOWN_SHARE:
                 logger.info(
                     "the camera moves: aligned frames show %.0f %% of the background around the "
                     "person",
                     100 * share,
                 )
-                return Background("aligned", plates)
+                return Background("aligned", aligned[0], None, aligned[1])
             logger.warning(
                 "the background cannot be measured (aligned frames show %.0f %% of it around the "
                 "person): pixels are taken as the mattes say, and edges of mattes are not compared",
                 100 * share,
             )
-        return Background("matte", [no_plate(matte) for matte in mattes])
+        return _same("matte", no_plate(mattes[0]), len(mattes))
 
 
-def _still_plates(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]) -> list[Plate]:
-    """One plate, or one a frame where the light changes: known where it agrees with the frame."""
+def _same(kind: BackgroundKind, plate: Plate, count: int) -> Background:
+    return Background(kind, [plate] * count, plate, None)
+
+
+def _still(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F H W"]) -> Background:
+    """One plate, or one a frame where the light changes."""
 
     def one_plate(frames: UInt8[Tensor, "F H W 3"]) -> list[Plate]:
         return [background_plate(frames, mattes)] * len(frames)
 
-    plates = plates_in_their_light(frames, mattes, one_plate)
-    if all(plate is plates[0] for plate in plates):
-        return plates
-    for first in range(0, len(plates), AT_ONCE):  # each as large as a frame, so no second list
-        part = slice(first, first + AT_ONCE)
-        plates[part] = in_threads(believed, frames[part], mattes[part], plates[part])
-    return plates
+    even = even_plates(frames, mattes, one_plate)
+    if even.stops is None:
+        return _same("median", even.plates[0], len(frames))
+    return Background("median", _LitPlates(frames, mattes, even), None, even.stops)
 
 
 def matte_edge(matte: UInt8[Tensor, "H W"]) -> Bool[Tensor, "H W"]:

@@ -5,7 +5,7 @@ alpha is the matte (coverage). `averaging_space` says in which space light adds 
 sRGB values (as averaged by the paper). Pictures and mattes are 8 bits.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -26,6 +26,7 @@ NEAR = 0.015  # of the picture's height: so far from a mask the person may still
 GLANCES = 5  # frames that tell the background where nobody ever is
 NOISE, DISTINCT = 8.0, 24.0  # codes from the plate: surely the background, surely something else
 AT_ONCE = 2**21  # pixels of all frames that are sorted at once; changes no result
+FRAMES_AT_ONCE = 32  # whose plates are made at once; changes no result
 NEIGHBOURHOOD = 5  # pixels over which a difference is averaged; leaks narrower than it stay shut
 
 
@@ -42,17 +43,18 @@ def background_plate(frames: UInt8[Tensor, "F H W 3"], mattes: UInt8[Tensor, "F 
     It is known where at least `ENOUGH` frames are bare. Far from the person's path a few frames are
     enough to tell it.
     """
-    bare = mattes < BARE
-    path = near_person((mattes > 0).any(0)[None])[0]
-    counted = torch.from_numpy(bare.numpy().sum(0, dtype=np.int32))  # with no copy in integers
+    path = near_person(mattes.amax(0)[None] > 0)[0]
+    counted = torch.zeros_like(path, dtype=torch.int32)
+    for matte in mattes:  # all at once are as many bytes as the mattes
+        counted += matte < BARE
     known = ~path | (counted >= ENOUGH)
     some = evenly_spaced(range(len(frames)), GLANCES)
     picture = frames[some].sort(dim=0).values[(len(some) - 1) // 2]
     picture[path] = 0
     wanted = (path & known).flatten().nonzero()[:, 0]
-    pixels, bare = frames.flatten(1, 2), bare.flatten(1)
+    pixels, alphas = frames.flatten(1, 2), mattes.flatten(1)
     parts = wanted.split(max(1, AT_ONCE // len(frames)))
-    medians = in_threads(lambda part: _lower_median(pixels[:, part], bare[:, part]), parts)
+    medians = in_threads(lambda part: _lower_median(pixels[:, part], alphas[:, part] < BARE), parts)
     picture.view(-1, 3)[wanted] = torch.cat(medians)
     return Plate(picture, known)
 
@@ -84,19 +86,41 @@ def trim_mattes(
     frames: UInt8[Tensor, "F H W 3"],
     mattes: UInt8[Tensor, "F H W"],
     plates: Sequence[Plate],
+    untold: Callable[[int, Plate], Bool[np.ndarray, "H W"]] | None = None,
 ) -> UInt8[Tensor, "F H W"]:
     """Take those parts off mattes where a picture shows just the background.
 
     Segmentation spills over the outline. What looks like the plate is trimmed if it is joined to
     the outside: inside the person it is clothing of the background's colour.
+
+    Args:
+        frames: of one camera.
+        mattes: of the person.
+        plates: one a frame.
+        untold: where the plate of a frame, by its number, looks like the person herself, so that
+            the picture tells nothing and nothing is trimmed.
     """
-    return torch.stack(in_threads(_trimmed, frames, mattes, plates))
+
+    def trimmed(index: int, plate: Plate) -> UInt8[Tensor, "H W"]:
+        alike = None if untold is None else untold(index, plate)
+        return _trimmed(frames[index], mattes[index], plate, alike)
+
+    alone = torch.empty_like(mattes)
+    for part in in_parts(len(frames)):
+        alone[part] = torch.stack(in_threads(trimmed, range(len(frames))[part], plates[part]))
+    return alone
+
+
+def in_parts(count: int) -> list[slice]:
+    """Frames in a row, so many that plates of them all take little memory."""
+    return [slice(first, first + FRAMES_AT_ONCE) for first in range(0, count, FRAMES_AT_ONCE)]
 
 
 def _trimmed(
     frame: UInt8[Tensor, "H W 3"],
     matte: UInt8[Tensor, "H W"],
     plate: Plate,
+    alike: Bool[np.ndarray, "H W"] | None,
 ) -> UInt8[Tensor, "H W"]:
     alpha = matte.numpy()
     known, weight = plate.known.numpy(), plate.known.float().numpy()
@@ -106,6 +130,8 @@ def _trimmed(
     difference = cv2.blur(difference, around) / cv2.blur(weight, around).clip(1e-3)
     share = ((difference - NOISE) / (DISTINCT - NOISE)).clip(0, 1)
     share[~known] = 1
+    if alike is not None:
+        share[alike] = 1
     bare = ((share < 0.5) | (alpha < BARE)).astype(np.uint8)
     bare = cv2.morphologyEx(bare, cv2.MORPH_OPEN, np.ones(around, np.uint8))
     _, pieces = cv2.connectedComponents(cv2.copyMakeBorder(bare, 1, 1, 1, 1, 0, value=1))

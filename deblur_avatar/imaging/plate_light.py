@@ -9,6 +9,7 @@ Conventions. Stops are of linear light, one for each colour: a frame of 1 has tw
 
 import logging
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, UInt8
@@ -27,12 +28,26 @@ ROWS = 180  # at which light is compared: a median needs no more pixels
 FEWEST = 100  # pixels whose median means something
 
 
-def plates_in_their_light(
+class EvenPlates(NamedTuple):
+    """Plates in one light, and how much more of it each frame has."""
+
+    plates: list[Plate]  # one a frame
+    stops: Float[Tensor, "F 3"] | None  # None where the light hardly changes
+
+    def lit(self, index: int) -> Plate:
+        """A plate as bright as the frame it lies behind."""
+        plate = self.plates[index]
+        if self.stops is None:
+            return plate
+        return Plate(relit(plate.picture, self.stops[index]), plate.known)
+
+
+def even_plates(
     frames: UInt8[Tensor, "F H W 3"],
     mattes: UInt8[Tensor, "F H W"],
     plates_of: Callable[[UInt8[Tensor, "F H W 3"]], list[Plate]],
-) -> list[Plate]:
-    """Plates as bright as the frames they lie behind.
+) -> EvenPlates:
+    """Plates from which the light that changes is taken out.
 
     Args:
         frames: of one camera.
@@ -47,15 +62,13 @@ def plates_in_their_light(
     stops = _stops_of(frames, mattes, plates)
     most = float(stops.abs().max())
     if most < STEADY:
-        return plates
+        return EvenPlates(plates, None)
     logger.info("the light changes by up to %.1f stops: each frame's background follows it", most)
     even = torch.empty_like(frames)
     in_threads(lambda out, frame, less: out.copy_(relit(frame, less)), even, frames, -stops)
     plates = plates_of(even)
     del even  # as large as the clip
-    stops = _stops_of(frames, mattes, plates)
-    pictures = in_threads(relit, [plate.picture for plate in plates], stops)
-    return [Plate(lit, plate.known) for lit, plate in zip(pictures, plates, strict=True)]
+    return EvenPlates(plates, _stops_of(frames, mattes, plates))
 
 
 def relit(picture: UInt8[Tensor, "H W 3"], stops: Float[Tensor, " 3"]) -> UInt8[Tensor, "H W 3"]:

@@ -7,10 +7,9 @@ with the same poses (for `oracle`), and the sharp frames with exact poses (for `
 import logging
 import math
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, cast
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -33,17 +32,13 @@ from deblur_avatar.body_estimation.person_crops import person_crops
 from deblur_avatar.body_estimation.pose_model import PoseModel
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
+from deblur_avatar.body_estimation.trimming import trimmed, without_background
 from deblur_avatar.config.section import NonNegative, Params, Positive
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
-from deblur_avatar.imaging.backgrounds import Background, BackgroundEstimator, BackgroundKind
+from deblur_avatar.imaging.backgrounds import BackgroundEstimator, BackgroundKind
 from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
-from deblur_avatar.imaging.matting import (
-    comparable_pixels,
-    lift_person,
-    scenery,
-    trim_mattes,
-)
+from deblur_avatar.imaging.person_pictures import PersonPictures, person_pictures
 from deblur_avatar.imaging.resampling import Crop, crop_and_scale
 from deblur_avatar.imaging.straightening import straightened
 
@@ -51,7 +46,8 @@ from deblur_avatar.imaging.straightening import straightened
 class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
-    # estimated_in_detail: by hands and face too, in any pose (docs/decisions/0064 and 0065)
+    # estimated_in_detail: by hands and face too, in any pose, and limbs keep their mattes where the
+    # background has their colour (docs/decisions/0064, 0065 and 0073)
     poses: Literal["given", "estimated", "estimated_in_detail"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
@@ -62,6 +58,11 @@ class PreprocessParams(Params):
     pose_std_degrees: Positive  # how far the poses may be off: root mean square of a joint's angle
     margin: NonNegative  # of the crop, as a share of the person's box
     validation_stride: Annotated[int, Field(ge=2)]  # every n-th frame is set aside
+
+    @property
+    def in_detail(self) -> bool:
+        """Whether poses are estimated as those of new clips are."""
+        return self.poses == "estimated_in_detail"
 
 
 logger = logging.getLogger(__name__)
@@ -119,7 +120,9 @@ def preprocess(
     people, kind = cast(list[Landmarks], []), params.background
     if params.masks != "given" or params.poses != "given":
         found = _people(clip, params, detect)
-        people, kind = _without_background(clip, row, kind, found, scenes)
+        people, kind = without_background(
+            clip.frames, row, kind, found, scenes, by_limbs=params.in_detail
+        )
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
@@ -129,12 +132,13 @@ def preprocess(
     if params.masks == "swept":
         mattes = swept_mattes(mattes, clip, body, track.poses)
     width, height = cameras.sizes[clip.train_camera].tolist()
+    averaging_space = cast(AveragingSpace, clip.averaging_space)
 
     def cut(images: Tensor) -> Tensor:
         return crop_and_scale(images, crops[clip.train_camera], (width, height))
 
-    def pictures(frames: Tensor, mattes: Tensor) -> _Pictures:
-        return _pictures(frames, mattes, background, cut, clip.averaging_space)
+    def pictures(frames: Tensor, mattes: Tensor) -> PersonPictures:
+        return person_pictures(frames, mattes, background, cut, averaging_space)
 
     taken = pictures(clip.frames[row], mattes)
     blurred = _observations(clip, body, params, track, shown, taken, crops, cameras)
@@ -145,37 +149,6 @@ def preprocess(
         if clip.exact is not None:
             exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
     return Preprocessed(blurred, sharp, exact, _metrics(blurred, shown, track))
-
-
-class _Pictures(NamedTuple):
-    """Those fields of observations that are pictures of the training camera."""
-
-    frames: UInt8[Tensor, "F H W 3"]
-    mattes: UInt8[Tensor, "F H W"]
-    comparable: UInt8[Tensor, "F H W"] | None
-    backgrounds: UInt8[Tensor, "B H W 3"] | None
-
-
-def _pictures(
-    frames: UInt8[Tensor, "F h w 3"],
-    mattes: UInt8[Tensor, "F h w"],
-    background: Background,
-    cut: Callable[[Tensor], Tensor],
-    averaging_space: str,
-) -> _Pictures:
-    """The person in front of what is known to be behind her, or on black; `cut` crops, scales."""
-    small = cut(mattes)
-    if background.kind == "none":
-        return _Pictures(cut(frames), small, None, None)
-    plates = background.distinct
-    if background.kind == "matte":
-        lifted = lift_person(frames, mattes, plates, cast(AveragingSpace, averaging_space))
-        nowhere = torch.zeros_like(small, dtype=torch.bool)
-        return _Pictures(cut(lifted), small, comparable_pixels(small, nowhere), None)
-    behind = torch.cat([cut(plate.picture[None]) for plate in plates])
-    known = torch.cat([cut(plate.known[None].to(torch.uint8) * 255) == 255 for plate in plates])
-    shown, comparable = scenery(cut(frames), small, behind, known)
-    return _Pictures(shown, small, None if bool(comparable.all()) else comparable, behind)
 
 
 @dataclass(frozen=True)
@@ -196,7 +169,7 @@ def _observations(
     params: PreprocessParams,
     track: _Track,
     shown: Bool[Tensor, " F"],
-    pictures: _Pictures,
+    pictures: PersonPictures,
     crops: list[Crop],
     cameras: Cameras,
 ) -> Observations:
@@ -235,14 +208,13 @@ def _track(
     """The poses that came with the clip, or a body fitted to what detectors found."""
     if params.poses == "given":
         return _Track(_checked(clip.initial, "initial", body), shown.float(), {}, {}, None, {})
-    in_detail = params.poses == "estimated_in_detail"
-    if in_detail:
+    if params.in_detail:
         people = [
             replace(person, parts=detect_parts(frames, person.points, person.visibility))
             for frames, person in zip(clip.frames, people, strict=True)
         ]
     cameras, recorded = clip.cameras, clip.recorded
-    fitted = fit_body(body, cameras, recorded, people, clip.timestamps, any_pose=in_detail)
+    fitted = fit_body(body, cameras, recorded, people, clip.timestamps, any_pose=params.in_detail)
     fit = measure_fit(fitted, body, cameras, recorded, [person.mattes for person in people])
     trusted = shown.float() * fitted.trust
     if people[0].model == "full":
@@ -298,33 +270,6 @@ def _people(clip: BlurryClip, params: PreprocessParams, detect: PersonDetector) 
     return [person]
 
 
-def _without_background(
-    clip: BlurryClip,
-    row: int,
-    kind: BackgroundKind,
-    people: list[Landmarks],
-    scenes: list[BackgroundEstimator],
-) -> tuple[list[Landmarks], BackgroundKind]:
-    """Every camera's mattes trimmed; the training camera settles the kind for all of them."""
-    settled = scenes[row].background(kind, people[row].mattes)
-    trimmed = []
-    for index, (frames, person) in enumerate(zip(clip.frames, people, strict=True)):
-        background = settled
-        if index != row:
-            background = scenes[index].background(settled.kind, person.mattes)
-        trimmed.append(_trimmed(frames, person, background))
-    return trimmed, settled.kind
-
-
-def _trimmed(
-    frames: UInt8[Tensor, "F H W 3"], person: Landmarks, background: Background
-) -> Landmarks:
-    """The person, the mattes trimmed where the background is known."""
-    if background.plates is None:
-        return person
-    return replace(person, mattes=trim_mattes(frames, person.mattes, background.plates))
-
-
 def _mattes(
     clip: BlurryClip,
     row: int,
@@ -342,7 +287,8 @@ def _mattes(
         return people[row].mattes, None
     sharp = detect(clip.sharp_frames)
     background = BackgroundEstimator(clip.sharp_frames).background(kind, sharp.mattes)
-    return people[row].mattes, _trimmed(clip.sharp_frames, sharp, background).mattes
+    alone = trimmed(clip.sharp_frames, sharp, background, by_limbs=params.in_detail)
+    return people[row].mattes, alone.mattes
 
 
 def _checked(poses: Poses | None, name: str, body: Body) -> Poses:

@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
+from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.bodies.posed_body import shaped_joints
+from deblur_avatar.evaluation import avatar_measures
 from deblur_avatar.evaluation.avatar_measures import (
     MARGIN,
     SIDES,
@@ -14,6 +18,12 @@ from deblur_avatar.evaluation.avatar_measures import (
     outside_share,
     parts_inside,
     turntable,
+)
+from deblur_avatar.geometry.rotations import (
+    axis_angle_to_quat,
+    matrix_to_quat,
+    quat_multiply,
+    quat_to_axis_angle,
 )
 
 TRAIN = [0, 1, 2, 3]
@@ -41,6 +51,77 @@ def test_gaussians_beside_the_body_are_outside_from_every_side(avatar, filmed, m
     sides = turntable(stray, filmed, motion)
     assert len(sides) == SIDES
     assert outside_share(sides) > 0.1
+
+
+def bent(motion, degrees: float):
+    """Bent at the hips, towards where the person looks: legs stay as they were."""
+    poses, angle = motion.centre, float(np.deg2rad(degrees))
+    lean = axis_angle_to_quat(torch.tensor([[angle, 0.0, 0.0]])).expand(len(poses.transl), 4)
+    orient = quat_to_axis_angle(quat_multiply(lean, axis_angle_to_quat(poses.global_orient)))
+    pose = poses.body_pose.clone()
+    for side in ("left", "right"):
+        pose[:, SMPL_JOINT_NAMES.index(f"{side}_hip") - 1, 0] -= angle
+    changed = dataclasses.replace(poses, global_orient=orient, body_pose=pose)
+    return dataclasses.replace(motion, centre=changed)
+
+
+def axis_of(filmed, motion, *, as_a_file: bool) -> torch.Tensor:
+    """What a turntable turns about, in the camera's axes; as a file, these are the world's."""
+    viewmat = filmed.camera.viewmat
+    if not as_a_file:
+        assert not filmed.cameras.world_is_a_cameras
+        return avatar_measures._axis(filmed, motion.centre) @ viewmat[:3, :3].T
+    cameras = dataclasses.replace(
+        filmed.cameras, viewmats=filmed.cameras.viewmats @ torch.linalg.inv(viewmat)
+    )
+    cameras.viewmats[filmed.train_camera] = torch.eye(4)
+    poses = seen_by(viewmat, filmed.body, motion.centre)
+    return avatar_measures._axis(dataclasses.replace(filmed, cameras=cameras, poses=poses), poses)
+
+
+def seen_by(viewmat: torch.Tensor, body: Body, poses: Poses) -> Poses:
+    """The poses in a camera's axes."""
+    turn = matrix_to_quat(viewmat[:3, :3]).expand(len(poses.transl), 4)
+    orient = quat_multiply(turn, axis_angle_to_quat(poses.global_orient))
+    pelvis = shaped_joints(body, poses.betas)[0]
+    transl = (poses.transl + pelvis) @ viewmat[:3, :3].T + viewmat[:3, 3] - pelvis
+    return dataclasses.replace(poses, global_orient=quat_to_axis_angle(orient), transl=transl)
+
+
+def off_vertical(axis: torch.Tensor, viewmat: torch.Tensor) -> float:
+    """Degrees from the direction that is up in the studio."""
+    up = viewmat[:3, :3] @ torch.tensor([0.0, 1.0, 0.0])
+    return float(torch.rad2deg(torch.arccos((axis @ up).clamp(-1, 1))))
+
+
+@pytest.mark.parametrize(("degrees", "off"), [(0.0, 0), (10.0, 10), (25.0, 0), (50.0, 0)])
+def test_who_bends_before_a_camera_is_turned_about_the_stage_s_up(filmed, motion, degrees, off):
+    axis = axis_of(filmed, bent(motion, degrees), as_a_file=True)
+    assert axis.norm() == pytest.approx(1)
+    # Whose weight is before her feet seems to lean: up is as much as a fifth of her bend off.
+    assert off_vertical(axis, filmed.camera.viewmat) == pytest.approx(off, abs=3 + degrees / 5)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 25.0, 50.0])
+def test_in_a_calibrated_world_people_are_turned_about_their_trunk(filmed, motion, degrees):
+    axis = axis_of(filmed, bent(motion, degrees), as_a_file=False)
+    assert off_vertical(axis, filmed.camera.viewmat) == pytest.approx(degrees, abs=3)
+
+
+def test_the_turntable_turns_about_that_axis(avatar, filmed, motion, monkeypatch):
+    axis = torch.nn.functional.normalize(torch.tensor([0.3, 1.0, 0.2]), dim=0)
+    turned = []
+    beside = avatar_measures._beside
+
+    def watched(observations, poses, angle):
+        turned.append(angle)
+        return beside(observations, poses, angle)
+
+    monkeypatch.setattr(avatar_measures, "_beside", watched)
+    monkeypatch.setattr(avatar_measures, "_axis", lambda *_: axis)
+    assert len(turntable(avatar, filmed, motion)) == SIDES
+    for side, angle in enumerate(turned):
+        torch.testing.assert_close(angle, 2 * torch.pi * side / SIDES * axis)
 
 
 def test_what_stands_off_by_less_than_the_margin_is_clothing(avatar, filmed, motion):

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -119,6 +120,43 @@ def test_clothes_of_the_backgrounds_colour_stay():
     hole[3, 10:14, 16:20] = plate.picture[10:14, 16:20]
     trimmed = trim_mattes(hole, mattes, [plate] * len(frames))
     assert (trimmed[3, 10:14, 16:20] == 255).all()
+
+
+def test_where_the_plate_looks_like_the_person_nothing_is_trimmed():
+    frames, mattes = walk()
+    plate = background_plate(frames, mattes)
+    hidden = frames.clone()
+    hidden[:, 12:18] = plate.picture[12:18]  # her legs have the background's colours
+    asked = []
+
+    def untold(index: int, plate: Plate) -> np.ndarray:
+        asked.append(index)
+        return np.full((HEIGHT, WIDTH), index == 3)
+
+    plates = [plate] * len(frames)
+    assert trim_mattes(hidden, mattes, plates)[:, 14:18].max() == 0
+    kept = trim_mattes(hidden, mattes, plates, untold)
+    assert torch.equal(kept[3], mattes[3])
+    assert kept[[2, 4], 14:18].max() == 0
+    assert sorted(asked) == list(range(FRAMES))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_mattes_are_the_same_however_many_frames_are_trimmed_at_once(monkeypatch, count: int):
+    frames, mattes = walk()
+    plate = background_plate(frames, mattes)
+    plates = [Plate(plate.picture.roll(index, 0), plate.known) for index in range(FRAMES)]
+    shown = torch.where(mattes[..., None] > 0, frames, torch.stack([one.picture for one in plates]))
+    spilled = torch.maximum(mattes, mattes.roll(6, dims=2))
+
+    def untold(index: int, plate: Plate) -> np.ndarray:
+        return np.arange(WIDTH)[None] == 13 + 4 * index + np.zeros((HEIGHT, 1), int)
+
+    wanted = trim_mattes(shown, spilled, plates, untold)
+    assert not torch.equal(wanted, trim_mattes(shown, spilled, plates))
+    assert not torch.equal(wanted, spilled)
+    monkeypatch.setattr(matting, "FRAMES_AT_ONCE", count)
+    assert torch.equal(trim_mattes(shown, spilled, plates, untold), wanted)
 
 
 def test_nothing_is_trimmed_where_the_background_is_unknown():

@@ -8,7 +8,7 @@ from torch import Tensor
 from deblur_avatar.imaging.backgrounds import BackgroundEstimator
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.imaging.matting import background_plate
-from deblur_avatar.imaging.plate_light import STEADY, plates_in_their_light, relit
+from deblur_avatar.imaging.plate_light import STEADY, even_plates, relit
 from tests.imaging.moving_camera import filmed, turned
 
 FRAMES = 16
@@ -45,7 +45,7 @@ def test_a_background_is_as_bright_as_each_frame(film, kind, caplog: pytest.LogC
         found = BackgroundEstimator(in_light(frames, HUNTING)).background("auto", mattes)
     assert found.kind == kind
     assert "each frame's background follows it" in caplog.text
-    assert len(found.distinct) == FRAMES
+    assert found.one is None
     true = in_light(behind, HUNTING)
     edges = (mattes > 12) & (mattes < 243)
     known = torch.stack([plate.known for plate in found.plates or []])
@@ -66,8 +66,8 @@ def test_light_that_stays_changes_nothing():
         light = torch.full((FRAMES, 3), 0.0)
         light[FRAMES // 3] = stops
         found = BackgroundEstimator(in_light(frames, light)).background("auto", mattes)
-        assert len(found.distinct) == 1
-        assert (found.distinct[0].picture.float() - one.picture.float()).abs().max() <= 1
+        assert found.one is not None
+        assert (found.one.picture.float() - one.picture.float()).abs().max() <= 1
 
 
 def test_a_single_frame_in_other_light_has_a_plate_in_it():
@@ -104,7 +104,7 @@ def test_a_sky_that_is_white_in_any_light_does_not_hide_the_change():
     lit[:, :, 90:] = torch.where(mattes[:, :, 90:, None] > 0, lit[:, :, 90:], 255)
     lit[:, :20] = 255
     found = BackgroundEstimator(lit).background("median", mattes)
-    assert len(found.distinct) == FRAMES
+    assert found.one is None
     bare = lit[9][30:110, :30].float()
     assert found.plates is not None
     apart = (found.plates[9].picture[30:110, :30].float() - bare).abs()
@@ -131,6 +131,18 @@ def test_where_too_little_of_the_background_is_seen_its_light_is_not_told():
         asked.append(len(seen))
         return [background_plate(seen, mattes)] * len(seen)
 
-    plates = plates_in_their_light(in_light(frames, HUNTING), covered, plates_of)
+    even = even_plates(in_light(frames, HUNTING), covered, plates_of)
     assert asked == [FRAMES]
-    assert plates[0] is plates[-1]
+    assert even.stops is None
+    assert even.lit(3) is even.plates[0]
+
+
+def test_lit_plates_in_a_row_are_those_of_each_frame():
+    frames, mattes, _ = standing()
+    found = BackgroundEstimator(in_light(frames, HUNTING)).background("median", mattes).plates
+    assert found is not None
+    assert len(found) == FRAMES
+    for plate, one in zip(found[4:7], (found[4], found[5], found[6]), strict=True):
+        assert torch.equal(plate.picture, one.picture)
+        assert torch.equal(plate.known, one.known)
+    assert len(list(found)) == FRAMES

@@ -15,8 +15,10 @@ from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
+from deblur_avatar.body_estimation.trimming import without_background
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
+from deblur_avatar.imaging import matting
 from deblur_avatar.imaging.matting import near_person
 from deblur_avatar.imaging.resampling import crop_and_scale
 from deblur_avatar.pipeline.preprocess import Preprocessed, PreprocessParams, preprocess
@@ -377,6 +379,13 @@ def test_hands_and_face_are_looked_for_where_asked(
         poses_asked.append(any_pose)
         return fitted(*given, any_pose=any_pose, **named)
 
+    trimmed_by_limbs = []
+
+    def trimming(*given: object, by_limbs: bool) -> object:
+        trimmed_by_limbs.append(by_limbs)
+        return without_background(*given, by_limbs=by_limbs)
+
+    monkeypatch.setattr("deblur_avatar.pipeline.preprocess.without_background", trimming)
     monkeypatch.setattr("deblur_avatar.pipeline.preprocess.detect_parts", looking)
     monkeypatch.setattr("deblur_avatar.pipeline.preprocess.fit_body", fitting)
     alone = cameras == "one"
@@ -392,6 +401,7 @@ def test_hands_and_face_are_looked_for_where_asked(
     detailed = made("estimated_in_detail")
     assert looked == ([TRAIN] if alone else list(RECORDED))
     assert poses_asked == [False, True]
+    assert trimmed_by_limbs == [False, True]
     found = {"left_hand": 1.0, "right_hand": 1.0, "face": 3 / FRAMES}
     assert detailed.metrics["parts_found"] == pytest.approx(found)
     wrist = SMPL_JOINT_NAMES.index("left_wrist") - 1
@@ -428,3 +438,30 @@ def test_sharp_mattes_have_no_say_in_what_is_trained_on(body: Body, clip: Blurry
     assert sets[0].train == sets[1].train
     assert sets[0].validation == sets[1].validation
     assert torch.equal(sets[0].weights, sets[1].weights)
+
+
+@pytest.mark.parametrize("background", ["none", "matte", "median", "changing light"])
+def test_pictures_are_the_same_however_many_frames_are_made_at_once(
+    body: Body, clip: BlurryClip, monkeypatch: pytest.MonkeyPatch, background: str
+):
+    if background == "changing light":
+        gain = torch.linspace(0.7, 1.2, FRAMES)[None, :, None, None, None]
+        frames = (clip.frames * gain).round().to(torch.uint8)
+        clip, background = dataclasses.replace(clip, frames=frames), "median"
+        assert preprocess_backgrounds(clip, body) == FRAMES
+    wanted = run(clip, body, image_height=SIZE[1] // 2, background=background).blurred
+    monkeypatch.setattr(matting, "FRAMES_AT_ONCE", 2)
+    made = run(clip, body, image_height=SIZE[1] // 2, background=background).blurred
+    assert torch.equal(made.frames, wanted.frames)
+    for name in ("comparable", "backgrounds"):
+        one, other = getattr(made, name), getattr(wanted, name)
+        assert (one is None) == (other is None)
+        assert one is None or torch.equal(one, other)
+    assert (wanted.backgrounds is None) == (background in ("none", "matte"))
+
+
+def preprocess_backgrounds(clip: BlurryClip, body: Body) -> int:
+    """How many backgrounds frames are shown before."""
+    behind = run(clip, body, background="median").blurred.backgrounds
+    assert behind is not None
+    return len(behind)
