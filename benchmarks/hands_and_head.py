@@ -11,6 +11,7 @@ quarter of an hour beside other work, 3 GB; no avatar.
 """
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,17 +74,26 @@ def filmed(
     """Frames and their true mattes; each is the mean light of some instants."""
     view = View.of(cameras, 0, samples_per_axis=2)
     behind = draw_backdrop(street(np.random.default_rng(0)), view.K, view.viewmat, (SIZE, SIZE))
-    frames, mattes, light, cover = [], [], np.zeros((SIZE, SIZE, 3)), np.zeros((SIZE, SIZE))
+    frames, mattes = [], []
+    for codes, matte in exposed(person, moves, view, behind, instants):
+        frames.append(codes.round().to(torch.uint8))
+        mattes.append(matte)
+    return torch.stack(frames), torch.stack(mattes)
+
+
+def exposed(
+    person: Person, moves: Moves, view: View, behind: Float[np.ndarray, "H W 3"], instants: int
+) -> Iterator[tuple[Float[Tensor, "H W 3"], UInt8[Tensor, "H W"]]]:
+    """A frame at a time, the mean light of some instants: sRGB codes, not rounded, and a matte."""
+    light, cover = np.zeros(behind.shape), np.zeros(behind.shape[:2])
     for index, vertices in enumerate(person.posed(moves)):
         picture = render(vertices, person.mesh, view, LIGHTING)
         light += (picture.light + behind * (1 - picture.coverage[..., None])) / instants
         cover += picture.coverage / instants
         if (index + 1) % instants == 0:
-            shown = encode(torch.from_numpy(light), "linear")
-            frames.append((shown * 255).round().to(torch.uint8))
-            mattes.append(torch.from_numpy((cover * 255).round()).to(torch.uint8))
+            matte = torch.from_numpy((cover * 255).round()).to(torch.uint8)
+            yield encode(torch.from_numpy(light), "linear") * 255, matte
             light, cover = np.zeros_like(light), np.zeros_like(cover)
-    return torch.stack(frames), torch.stack(mattes)
 
 
 def turns(body: Body, poses: Poses) -> Float[Tensor, "F J 3 3"]:

@@ -20,13 +20,12 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from benchmarks.exercises import exercising, options_of, print_rows
-from benchmarks.hands_and_head import SHAPE
+from benchmarks.hands_and_head import SHAPE, exposed
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.bodies.posed_body import shaped_joints, shaped_vertices
 from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.body_estimation.trimming import trimmed
 from deblur_avatar.imaging.backgrounds import BackgroundEstimator
-from deblur_avatar.imaging.exposure import encode
 from deblur_avatar.rendering.mesh_rendering import TexturedMesh, View, render
 from deblur_avatar.sources.studio.backdrop import draw_backdrop, street
 from deblur_avatar.sources.studio.cameras import RingParams, place_cameras
@@ -85,22 +84,16 @@ def filmed(
     behind = draw_backdrop(
         street(np.random.default_rng(seed)), view.K, view.viewmat, (SIZE, SIZE)
     ).copy()
-    shown, mattes = [], []
-    light, cover = np.zeros((SIZE, SIZE, 3)), np.zeros((SIZE, SIZE))
     moves = motion_of(body, betas, name, generator, times)
-    for index, vertices in enumerate(person.posed(moves)):
-        picture = render(vertices, person.mesh, view, LIGHTING)
-        if index == 0 and before != "a street":
-            top = 0 if before == "all black" else waist_of(picture.coverage)
-            behind[top:] = dark_of(picture.light, picture.coverage)
-        light += (picture.light + behind * (1 - picture.coverage[..., None])) / instants
-        cover += picture.coverage / instants
-        if (index + 1) % instants == 0:
-            codes = encode(torch.from_numpy(light), "linear") * 255
-            codes = codes + NOISE * torch.randn(codes.shape, generator=generator)
-            shown.append(codes.round().clamp(0, 255).to(torch.uint8))
-            mattes.append(torch.from_numpy((cover * 255).round()).to(torch.uint8))
-            light, cover = np.zeros_like(light), np.zeros_like(cover)
+    if before != "a street":
+        picture = render(next(person.posed(moves)), person.mesh, view, LIGHTING)
+        top = 0 if before == "all black" else waist_of(picture.coverage)
+        behind[top:] = dark_of(picture.light, picture.coverage)
+    shown, mattes = [], []
+    for codes, matte in exposed(person, moves, view, behind, instants):
+        noisy = codes + NOISE * torch.randn(codes.shape, generator=generator)
+        shown.append(noisy.round().clamp(0, 255).to(torch.uint8))
+        mattes.append(matte)
     return torch.stack(shown), torch.stack(mattes)
 
 
