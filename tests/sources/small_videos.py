@@ -21,7 +21,6 @@ def write_video(
     path: Path,
     pictures: list[np.ndarray],
     seconds: list[float] | None = None,
-    rotation: int = 0,
     metadata: dict[str, str] | None = None,
 ) -> Path:
     """Encode without loss, each frame at its own time."""
@@ -34,11 +33,21 @@ def write_video(
         stream.pix_fmt = "rgb24"
         stream.time_base = stream.codec_context.time_base = Fraction(1, TICKS)
         stream.codec_context.max_b_frames = 0
-        if rotation:
-            stream.set_display_rotation(rotation)
         for image, time in zip(pictures, seconds, strict=True):
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame.pts, frame.time_base = round(time * TICKS), Fraction(1, TICKS)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+    return path
+
+
+def held_otherwise(path: Path, recording: Path, rotation: int) -> Path:
+    """The same encoded frames in a file that says how the camera was held, degrees."""
+    with av.open(str(recording)) as read, av.open(str(path), "w") as container:
+        stream = container.add_stream_from_template(read.streams.video[0])
+        stream.set_display_rotation(rotation)
+        for packet in read.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                container.mux(packet)
     return path

@@ -10,7 +10,7 @@ from deblur_avatar.sources.footage import (
     files_in_order,
     read_footage,
 )
-from tests.sources.small_videos import FPS, HEIGHT, WIDTH, picture, write_video
+from tests.sources.small_videos import FPS, HEIGHT, WIDTH, held_otherwise, picture, write_video
 
 PICTURES = [picture(index) for index in range(6)]
 
@@ -57,8 +57,9 @@ def test_a_dropped_frame_leaves_a_gap_in_time(tmp_path: Path, caplog: pytest.Log
 
 
 def test_a_rotated_recording_is_upright_and_its_size_too(tmp_path: Path):
-    plain = read(write_video(tmp_path / "a.mp4", PICTURES), height=100).frames[0].numpy()
-    turned = read(write_video(tmp_path / "b.mp4", PICTURES, rotation=90), height=100)
+    recording = write_video(tmp_path / "a.mp4", PICTURES)
+    plain = read(recording, height=100).frames[0].numpy()
+    turned = read(held_otherwise(tmp_path / "b.mp4", recording, 90), height=100)
     assert turned.recorded_size == (HEIGHT, WIDTH)
     assert (turned.frames[0].numpy() == np.rot90(plain)).all()
 

@@ -7,6 +7,7 @@ import pytest
 
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.sources.video_files import read_video
+from tests.sources.small_videos import held_otherwise
 
 WIDTH, HEIGHT, COUNT, FPS = 48, 32, 6, 25
 
@@ -18,14 +19,12 @@ def picture(index: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
     return image
 
 
-def write_video(path: Path, rotation: int = 0) -> Path:
+def write_video(path: Path) -> Path:
     with av.open(str(path), "w") as container:
         stream = container.add_stream("mpeg4", rate=FPS)
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         stream.bit_rate = 4_000_000
         stream.time_base = Fraction(1, FPS)
-        if rotation:
-            stream.set_display_rotation(rotation)
         for index in range(COUNT):
             frame = av.VideoFrame.from_ndarray(picture(index), format="rgb24")
             container.mux(stream.encode(frame))
@@ -58,8 +57,9 @@ def test_large_frames_are_scaled_down_and_small_ones_left_alone(tmp_path: Path):
 
 
 def test_a_rotated_recording_is_turned_upright(tmp_path: Path):
-    plain = read_video(write_video(tmp_path / "a.mp4"), 0, 1, 1000).frames[0].numpy()
-    turned = read_video(write_video(tmp_path / "b.mp4", rotation=90), 0, 1, 1000)
+    recording = write_video(tmp_path / "a.mp4")
+    plain = read_video(recording, 0, 1, 1000).frames[0].numpy()
+    turned = read_video(held_otherwise(tmp_path / "b.mp4", recording, 90), 0, 1, 1000)
     assert turned.recorded_size == (HEIGHT, WIDTH)
     assert np.abs(turned.frames[0].numpy() - np.rot90(plain).astype(int)).max() <= 2
 
