@@ -26,6 +26,7 @@ from deblur_avatar.bodies.posed_body import shaped_joints, shaped_vertices
 from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.body_estimation.trimming import trimmed
 from deblur_avatar.imaging.backgrounds import BackgroundEstimator
+from deblur_avatar.imaging.overlap import soft_iou
 from deblur_avatar.rendering.mesh_rendering import TexturedMesh, View, render
 from deblur_avatar.sources.studio.backdrop import draw_backdrop, street
 from deblur_avatar.sources.studio.cameras import RingParams, place_cameras
@@ -112,19 +113,18 @@ def dark_of(
     return np.median(worn[worn.sum(1) <= np.median(worn.sum(1))], axis=0)
 
 
-def overlap(one: UInt8[Tensor, "F H W"], other: UInt8[Tensor, "F H W"]) -> float:
-    """Soft intersection over union."""
-    a, b = one.float(), other.float()
-    return float(torch.minimum(a, b).sum() / torch.maximum(a, b).sum())
-
-
 def overlaps(frames: UInt8[Tensor, "F H W 3"], true: UInt8[Tensor, "F H W"]) -> dict[str, float]:
     """Of what is found, and of that trimmed both ways."""
     person = detect_with_mediapipe(frames)
     behind = BackgroundEstimator(frames).background("median", person.mattes)
     cut = [trimmed(frames, person, behind, by_limbs=by_limbs) for by_limbs in (False, True)]
     people = (person, *cut)
-    return {kind: overlap(one.mattes, true) for kind, one in zip(KINDS, people, strict=True)}
+    found = {}
+    for kind, one in zip(KINDS, people, strict=True):
+        overlap = soft_iou(one.mattes.float(), true.float())
+        assert overlap is not None, "nobody was drawn"
+        found[kind] = overlap
+    return found
 
 
 def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:

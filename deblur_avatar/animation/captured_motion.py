@@ -6,10 +6,14 @@ Frames may be unevenly spaced; what comes out is at an even rate, upright on the
 
 import torch
 
-from deblur_avatar.animation.driving_motion import BodyMotion, turn_between
+from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.stage import Stage
 from deblur_avatar.artifacts.motion import Motion
-from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from deblur_avatar.geometry.rotations import (
+    axis_angle_to_matrix,
+    matrix_to_axis_angle,
+    turn_between,
+)
 
 
 def captured_motion(

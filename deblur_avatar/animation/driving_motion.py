@@ -11,12 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.geometry.rotations import (
-    axis_angle_to_quat,
-    quat_conjugate,
-    quat_multiply,
-    quat_to_axis_angle,
-)
+from deblur_avatar.geometry.rotations import turn_between
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,15 +72,3 @@ def resample(motion: BodyMotion, fps: float, start: float, seconds: float) -> Bo
         body_pose=turn_between(motion.body_pose[before], motion.body_pose[after], share),
         transl=torch.lerp(motion.transl[before], motion.transl[after], share[:, None]),
     )
-
-
-def turn_between(
-    start: Float[Tensor, "F *joints 3"],
-    end: Float[Tensor, "F *joints 3"],
-    share: Float[Tensor, " F"],
-) -> Float[Tensor, "F *joints 3"]:
-    """Turn along the shorter arc, with a share of its own for each frame; axis-angle in and out."""
-    first = axis_angle_to_quat(start)
-    step = quat_to_axis_angle(quat_multiply(quat_conjugate(first), axis_angle_to_quat(end)))
-    part = axis_angle_to_quat(share.reshape(-1, *[1] * (step.ndim - 1)) * step)
-    return quat_to_axis_angle(quat_multiply(first, part))

@@ -9,6 +9,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from deblur_avatar.artifacts.storage import Artifact
+from deblur_avatar.geometry.pose_interpolation import interpolated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,4 +36,11 @@ class Poses(Artifact):
             global_orient=self.global_orient[index],
             body_pose=self.body_pose[index],
             transl=self.transl[index],
+        )
+
+    def at_times(self, known: Float[Tensor, " F"], wanted: Float[Tensor, " S"]) -> "Poses":
+        """Poses at any times (`interpolated`), where those of the instants are `known`."""
+        turned, transl = interpolated(self.axis_angle, self.transl, known, wanted)
+        return Poses(
+            betas=self.betas, global_orient=turned[:, 0], body_pose=turned[:, 1:], transl=transl
         )

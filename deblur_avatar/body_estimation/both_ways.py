@@ -16,6 +16,7 @@ import torch
 
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.same_person import NEARER, RUN, UNLIKE, Look, Looks, is_one
+from deblur_avatar.imaging.overlap import soft_iou
 
 APART = 0.2  # of the area that two mattes cover, covered by both, at most: two people
 GAP = 2  # frames without a look from which on a person may have gone elsewhere
@@ -108,9 +109,8 @@ def _shown(here: Look | None, there: Look | None) -> Shown:
 
 def _shared(here: Look, there: Look) -> float:
     """Of the area that two mattes cover, what both cover; all of it where they cover none."""
-    one, other = (look.sighting.matte.float() for look in (here, there))
-    either = float(torch.maximum(one, other).sum())
-    return float(torch.minimum(one, other).sum()) / either if either else 1.0
+    shared = soft_iou(here.sighting.matte.float(), there.sighting.matte.float())
+    return 1.0 if shared is None else shared
 
 
 def _is_of_two(part: Stretch) -> bool:

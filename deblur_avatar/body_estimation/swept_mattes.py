@@ -6,8 +6,6 @@ exposure, which bounds the matte. Clothes stand out from that body, so a pixel i
 longest covered place near it; where the body never was near, the detector is left alone.
 """
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import torch
@@ -19,7 +17,6 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.clip import BlurryClip
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_meshes
-from deblur_avatar.geometry.rotations import axis_angle_to_quat, quat_to_axis_angle, slerp
 from deblur_avatar.imaging.exposure import mean_of_instants
 from deblur_avatar.rendering.mesh_rendering import View, cast_rays
 
@@ -44,25 +41,11 @@ def swept_mattes(
     offsets = ((torch.arange(INSTANTS) + 0.5) / INSTANTS - 0.5) * clip.exposure
     bounded = []
     for frame in run.progress(range(len(mattes)), "swept mattes"):
-        instants = poses_between(poses, clip.timestamps, clip.timestamps[frame] + offsets)
+        instants = poses.at_times(clip.timestamps, clip.timestamps[frame] + offsets)
         seen = [_silhouette(mesh.numpy(), body, view) for mesh in posed_meshes(body, instants)]
         stack = torch.from_numpy(np.stack(seen))
         bounded.append(_bounded(mattes[frame], mean_of_instants(stack).numpy()))
     return torch.stack(bounded)
-
-
-def poses_between(
-    poses: Poses, timestamps: Float[Tensor, " F"], times: Float[Tensor, " S"]
-) -> Poses:
-    """Poses at any times, along the shortest arcs; beyond the first and the last frame, theirs."""
-    after = torch.searchsorted(timestamps, times).clamp(1, len(timestamps) - 1)
-    start, end = timestamps[after - 1], timestamps[after]
-    shares = ((times - start) / (end - start)).clamp(0, 1)
-    quats = axis_angle_to_quat(poses.axis_angle)
-    pairs = zip(quats[after - 1], quats[after], shares, strict=True)
-    turned = torch.stack([quat_to_axis_angle(slerp(a, b, s[None])[0]) for a, b, s in pairs])
-    transl = torch.lerp(poses.transl[after - 1], poses.transl[after], shares[:, None])
-    return replace(poses, global_orient=turned[:, 0], body_pose=turned[:, 1:], transl=transl)
 
 
 def _silhouette(

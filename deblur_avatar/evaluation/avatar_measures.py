@@ -30,6 +30,7 @@ from deblur_avatar.evaluation.reblur import reblurred
 from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.spacing import evenly_spaced
+from deblur_avatar.imaging.overlap import soft_iou
 
 MARGIN = 0.15  # metres that clothes and hair may stand off the body
 FRAMES = 12  # of the training camera that are looked at
@@ -174,8 +175,7 @@ def coverage_iou(
     """Soft intersection over union of the avatar's coverage and the mattes."""
     mattes = observations.mattes[list(positions)].float() / 255
     alphas = torch.stack([look.alpha for look in looks])
-    union = torch.maximum(mattes, alphas).sum()
-    return float(torch.minimum(mattes, alphas).sum() / union) if union else None
+    return soft_iou(mattes, alphas)
 
 
 def parts_inside(

@@ -153,22 +153,27 @@ def background_light(observations: Observations) -> float | None:
 
     Where the background is known, what differs from it.
     """
-    outside = (observations.mattes == 0) & (observations.weights > 0)[:, None, None]
-    means = []
+    total, count = 0.0, 0
     for position, frame in enumerate(observations.comparable_frames()):
+        outside = observations.mattes[position] == 0
+        if not observations.weights[position] > 0 or not outside.any():
+            continue
         pixels = frame.float()
         behind = observations.background(position)
         if behind is not None:
             known = behind.float()
             pixels = observations.comparable_part((pixels - known).abs(), position)
-        means.append(pixels[outside[position]])
-    light = torch.cat(means)
-    return float(light.mean()) if len(light) else None
+        light = pixels[outside]
+        total, count = total + float(light.sum(dtype=torch.float64)), count + light.numel()
+    return total / count if count else None
 
 
 def comparable_share(observations: Observations) -> float:
     """Share of the person's coverage whose colours can be compared."""
     if observations.comparable is None:
         return 1.0
-    mattes = observations.mattes.float()
-    return float((mattes * observations.comparable / 255).sum() / mattes.sum().clamp(min=1))
+    told, count = 0.0, 0.0
+    for matte, comparable in zip(observations.mattes, observations.comparable, strict=True):
+        told += float((matte.double() * comparable / 255).sum())
+        count += float(matte.sum())
+    return told / max(count, 1.0)

@@ -23,7 +23,7 @@ from deblur_avatar.avatars.kinds import avatar_from_artifact
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.exports.exporter import FittedRun
-from deblur_avatar.exports.shown_motion import ShownMotion, poses_at
+from deblur_avatar.exports.shown_motion import ShownMotion
 from deblur_avatar.exports.upright import Upright, rest_pelvis, upright_of
 from deblur_avatar.geometry.cameras import Camera, camera_centres
 from deblur_avatar.geometry.rotations import quat_to_matrix
@@ -188,7 +188,7 @@ class LiveViewer:
     def picture(self, view: View, shown: Shown, longest: int) -> UInt8[np.ndarray, "H W 3"]:
         """What a browser is sent."""
         camera = view.camera(self._axes, longest)
-        poses = poses_at(shown.motion, shown.times())
+        poses = shown.motion.poses.at_times(shown.motion.times.double(), shown.times().double())
         image, _ = render_avatar(self._model, poses, camera, average=len(poses.transl) > 1)
         return (image[0] * 255).round().to(torch.uint8).numpy()
 

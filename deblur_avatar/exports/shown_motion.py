@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.animation.driving_motion import turn_between
 from deblur_avatar.animation.motion_files import BUILTIN, read_motion
 from deblur_avatar.animation.placement import place
 from deblur_avatar.artifacts.poses import Poses
@@ -115,21 +114,5 @@ def even_motion(run: FittedRun, name: str, fps: float, seconds: float) -> tuple[
         raise ConfigError("export: a motion of one frame has no frame rate")
     rate = float((len(times) - 1) / times[-1])
     wanted = torch.arange(len(times)).double() / rate
-    return dataclasses.replace(motion, times=wanted.float(), poses=poses_at(motion, wanted)), rate
-
-
-def poses_at(motion: ShownMotion, seconds: Float[Tensor, " S"]) -> Poses:
-    """Poses at any times: along the shorter arc between frames, places in straight lines."""
-    times, poses = motion.times.double(), motion.poses
-    after = torch.searchsorted(times, seconds.double()).clamp(1, max(len(times) - 1, 1))
-    before = after - 1
-    after = after.clamp(max=len(times) - 1)
-    gap = (times[after] - times[before]).clamp(min=1e-9)
-    share = ((seconds - times[before]) / gap).clamp(0, 1).float()
-    turned = turn_between(poses.axis_angle[before], poses.axis_angle[after], share)
-    return Poses(
-        betas=poses.betas,
-        global_orient=turned[:, 0],
-        body_pose=turned[:, 1:],
-        transl=torch.lerp(poses.transl[before], poses.transl[after], share[:, None]),
-    )
+    poses = motion.poses.at_times(times, wanted)
+    return dataclasses.replace(motion, times=wanted.float(), poses=poses), rate

@@ -113,6 +113,18 @@ def slerp(
     return quat_multiply(start.expand_as(parts), parts)
 
 
+def turn_between(
+    start: Float[Tensor, "F *joints 3"],
+    end: Float[Tensor, "F *joints 3"],
+    share: Float[Tensor, " F"],
+) -> Float[Tensor, "F *joints 3"]:
+    """Turn along the shorter arc, with a share of its own for each frame; axis-angle in and out."""
+    first = axis_angle_to_quat(start)
+    step = quat_to_axis_angle(quat_multiply(quat_conjugate(first), axis_angle_to_quat(end)))
+    part = axis_angle_to_quat(share.reshape(-1, *[1] * (step.ndim - 1)) * step)
+    return quat_to_axis_angle(quat_multiply(first, part))
+
+
 def _products(a: Float[Tensor, "*batch 4"], b: Float[Tensor, "*batch 4"]) -> Tensor:
     """All products of an entry of `a` with an entry of `b`, 16 a pair."""
     return (a[..., :, None] * b[..., None, :]).flatten(-2)

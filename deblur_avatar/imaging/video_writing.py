@@ -1,7 +1,9 @@
 """Video encoding: H.264 in an mp4 file that plays everywhere.
 
 One encoder thread, no clock and no B pictures (with some of them as references x264 writes other
-bytes now and then), so equal pictures give equal bytes with one version of the encoder.
+bytes now and then), so equal pictures give equal bytes with one version of the encoder, but where a
+processor with AVX-512 is shared: one file of ten noisy frames in 500 to 1,600 is another there,
+which `X264_VARIABLE` prevents (docs/decisions/0078-an-encoder-that-errs.md).
 """
 
 import logging

@@ -48,6 +48,7 @@ logger = logging.getLogger(__name__)
 # Not a parameter: the unit of `pixels_per_pose`. How many instants explain a blur depends on how
 # far it goes in terms of the person, so that pictures of a clip at any size take as many.
 REFERENCE_HEIGHT = 192  # pixels
+ROUNDED = 1e-5  # share by which times of four bytes may be off
 
 
 class GivenShutter(Params):
@@ -142,6 +143,7 @@ class ClipMotion(Trajectory):
         self._max_samples = len(u)
         self._initial_depths: dict[int, Tensor] = {}  # by frame
         self._estimated_shutter = estimate_shutter
+        self._max_log_shutter = math.inf  # what `log_shutter` can be
         self.register_buffer("u", u, persistent=False)
         self.register_buffer("middles", middles)
         self.register_buffer("guess", guess)
@@ -173,8 +175,9 @@ class ClipMotion(Trajectory):
             )
         frame = float(observations.timestamps.diff().median())
         spacing = choose_spacing(
-            observations.poses, observations.timestamps, params.knot_frames * frame,
-            params.finest_knot_frames * frame, params.smoothness, params.finer_knots_gain,
+            observations.poses, observations.timestamps, observations.weights > 0,
+            params.knot_frames * frame, params.finest_knot_frames * frame,
+            params.smoothness, params.finer_knots_gain,
         )  # fmt: skip
         motion = cls.near(
             observations.poses, instants(params.virtual_poses, params.quadrature),
@@ -182,6 +185,8 @@ class ClipMotion(Trajectory):
             estimate_shutter=params.estimates_shutter(observations),
         )  # fmt: skip
         motion._pixels_per_pose = params.pixels_per_pose
+        if observations.exposure_std is not None and observations.exposure < frame * (1 + ROUNDED):
+            motion._max_log_shutter = max(math.log(frame / observations.exposure), 0.0)
         return motion
 
     @classmethod
@@ -267,6 +272,11 @@ class ClipMotion(Trajectory):
         spacing = (timestamps[-1] - timestamps[0]) / (self.middles[-1] - self.middles[0])
         return float(self.shutter.detach() * spacing)
 
+    @torch.no_grad()
+    def keep_possible(self) -> None:
+        """A camera's shutter is closed when the next frame begins, where that is only guessed."""
+        self.log_shutter.clamp_(max=self._max_log_shutter)
+
     def remember_halfway(self) -> None:
         """Remember an estimated shutter as it is now, to tell later how far it has moved since."""
         if self.halfway is not None:
@@ -301,6 +311,8 @@ class ClipMotion(Trajectory):
         else:
             std = (1 / (told**2 + moved**2) + 1 / guess**2) ** -0.5
             told_as = f"it moved by {math.expm1(moved):+.1%} in the last half of the stage"
+            if float(self.log_shutter.detach()) > self._max_log_shutter - ROUNDED:
+                told_as = "as long as frames are apart, and it cannot be longer"
         shutter = self.estimated_shutter(observations.timestamps)
         assert shutter is not None
         logger.info(

@@ -9,7 +9,7 @@ given poses may have themselves.
 import logging
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.poses import Poses
@@ -30,6 +30,7 @@ FOLDS = 4  # every n-th frame is held back in turn; not a parameter: any few do
 def choose_spacing(
     poses: Poses,
     timestamps: Float[Tensor, " F"],
+    seen: Bool[Tensor, " F"],
     coarsest: float,
     finest: float,
     smoothness: float,
@@ -40,6 +41,7 @@ def choose_spacing(
     Args:
         poses: given, one a frame, of two frames or more.
         timestamps: of the frames, seconds.
+        seen: the frames whose poses are worth predicting.
         coarsest: spacing that is kept unless another is worth it.
         finest: spacing below which it is not halved; as coarse as the coarsest: nothing is chosen.
         smoothness: of the fitted knots, as in `fit_knots`.
@@ -49,8 +51,8 @@ def choose_spacing(
     spacing = coarsest / 2
     while spacing > finest * 0.999:
         if errors is None:
-            errors = _prediction_errors(poses, timestamps, chosen, smoothness)
-        finer = _prediction_errors(poses, timestamps, spacing, smoothness)
+            errors = _prediction_errors(poses, timestamps, seen, chosen, smoothness)
+        finer = _prediction_errors(poses, timestamps, seen, spacing, smoothness)
         gain = float((errors - finer).max())
         if gain > min_gain:
             logger.info(
@@ -63,7 +65,11 @@ def choose_spacing(
 
 
 def _prediction_errors(
-    poses: Poses, timestamps: Tensor, spacing: float, smoothness: float
+    poses: Poses,
+    timestamps: Float[Tensor, " F"],
+    seen: Bool[Tensor, " F"],
+    spacing: float,
+    smoothness: float,
 ) -> Float[Tensor, " J"]:
     """Root mean square angle by which each joint's held-back rotations are missed, radians."""
     quats = continuous(axis_angle_to_quat(poses.axis_angle))
@@ -75,12 +81,13 @@ def _prediction_errors(
     for fold in range(FOLDS):
         # The ends stay: nothing is predicted beyond the frames.
         held_back = (frames % FOLDS == fold) & (frames > 0) & (frames < len(frames) - 1)
-        if not bool(held_back.any()):
+        missed = held_back & seen
+        if not bool(missed.any()):
             continue
         knots = fit_knots(quats[~held_back].flatten(1), times[~held_back], count, smoothness)
-        predicted = spline_points(knots, times[held_back]).unflatten(1, quats.shape[1:])
+        predicted = spline_points(knots, times[missed]).unflatten(1, quats.shape[1:])
         predicted = torch.nn.functional.normalize(predicted, dim=-1)
-        apart = quat_multiply(quat_conjugate(predicted), quats[held_back])
+        apart = quat_multiply(quat_conjugate(predicted), quats[missed])
         errors.append(quat_to_axis_angle(apart).norm(dim=-1))
     if not errors:
         return torch.zeros(quats.shape[1])

@@ -160,6 +160,9 @@ class Trajectory(nn.Module, ABC):
         Called before and after the stage that fits the motion.
         """
 
+    def keep_possible(self) -> None:
+        """Bring unknowns back that have gone where they cannot be; called after a step."""
+
     def remember_halfway(self) -> None:
         """Take note of what is needed later; called in the middle of that stage."""
 

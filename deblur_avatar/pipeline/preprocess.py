@@ -33,6 +33,7 @@ from deblur_avatar.body_estimation.pose_model import PoseModel
 from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 from deblur_avatar.body_estimation.track_smoothness import measure_track
 from deblur_avatar.body_estimation.trimming import trimmed, without_background
+from deblur_avatar.body_estimation.unseen_frames import between_seen
 from deblur_avatar.config.section import NonNegative, Params, Positive
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
@@ -216,18 +217,20 @@ def _track(
     cameras, recorded = clip.cameras, clip.recorded
     fitted = fit_body(body, cameras, recorded, people, clip.timestamps, any_pose=params.in_detail)
     fit = measure_fit(fitted, body, cameras, recorded, [person.mattes for person in people])
-    trusted = shown.float() * fitted.trust
+    trusted, poses = shown.float() * fitted.trust, fitted.poses
+    if params.in_detail:
+        poses = between_seen(poses, fitted.trust > 0, clip.timestamps)
     if people[0].model == "full":
         logger.warning(
             "poses come from the smaller pose model and are up to two fifths farther off than "
             "need be; `deblur-avatar setup`, with npm on the path, brings the larger one"
         )
-    return _Track(fitted.poses, trusted, fit, fitted.flags, people[0].model, fitted.parts)
+    return _Track(poses, trusted, fit, fitted.flags, people[0].model, fitted.parts)
 
 
 def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) -> dict[str, Any]:
     """Numbers of frames, and how well and how evenly the poses fit."""
-    smoothness = measure_track(blurred.body, track.poses, blurred.timestamps)
+    smoothness = measure_track(blurred.body, track.poses, blurred.timestamps, blurred.weights > 0)
     if smoothness:
         logger.info(
             "fastest joint %.1f m/s; the step that stands out most is %.2f times those around it "

@@ -11,11 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
-from deblur_avatar.geometry.rotations import (
-    axis_angle_to_quat,
-    quat_to_axis_angle,
-    slerp,
-)
+from deblur_avatar.geometry.pose_interpolation import interpolated
 
 logger = logging.getLogger(__name__)
 
@@ -40,7 +36,7 @@ def fill_missing(
 
     Raises:
         ArtifactError: if the first or last frame has no pose, more than `MAX_COUNT` of the frames,
-        or     more than `LONGEST` in a row.
+        or more than `LONGEST` in a row.
     """
     missing = without_pose(turns, transl)
     if not bool(missing.any()):
@@ -58,11 +54,8 @@ def fill_missing(
             f"filled from those around them; {advice}"
         )
     logger.warning("%s, up to %d in a row; they are filled from those around", lost, longest)
-    turns, transl = turns.clone(), transl.clone()
-    for first, last in zip(there[:-1].tolist(), there[1:].tolist(), strict=True):
-        gap = slice(first + 1, last)
-        share = torch.arange(1, last - first).to(turns) / (last - first)
-        start, end = axis_angle_to_quat(turns[first]), axis_angle_to_quat(turns[last])
-        turns[gap] = quat_to_axis_angle(slerp(start, end, share))
-        transl[gap] = torch.lerp(transl[first], transl[last], share[:, None])
+    turns, transl, times = turns.clone(), transl.clone(), torch.arange(frames).to(transl)
+    turns[missing], transl[missing] = interpolated(
+        turns[~missing], transl[~missing], times[~missing], times[missing]
+    )
     return turns, transl

@@ -161,6 +161,7 @@ class AvatarFit:
         terms |= self.objective.priors(index, instants)
         names, values = _brought_together(terms, self._device)
         if self.optimizers.step(step, values.sum()):
+            self.trajectory.keep_possible()
             self._densify(step, exposure.instants)
         return dict(zip(names, values.tolist(), strict=True))
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-import torch
 
 from benchmarks import same_colors
-from benchmarks.same_colors import DRESSES, dark_of, filmed, overlap, waist_of
+from benchmarks.same_colors import DRESSES, dark_of, filmed, waist_of
 
 SIZE = 64
 
@@ -14,13 +13,6 @@ SIZE = 64
 def _small(monkeypatch):
     monkeypatch.setattr(same_colors, "SIZE", SIZE)
     monkeypatch.setattr(same_colors, "NOISE", 0.0)
-
-
-def test_overlap_is_of_coverage():
-    one = torch.tensor([[[255, 255, 0, 51]]], dtype=torch.uint8)
-    other = torch.tensor([[[255, 0, 0, 102]]], dtype=torch.uint8)
-    assert overlap(one, other) == pytest.approx((255 + 51) / (255 + 255 + 102))
-    assert overlap(one, one) == 1
 
 
 def test_the_waist_is_halfway_down_and_black_that_of_the_darker_legs():

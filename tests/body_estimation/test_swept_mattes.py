@@ -1,11 +1,10 @@
 import dataclasses
 
-import pytest
 import torch
 
 from deblur_avatar.artifacts.clip import BlurryClip
 from deblur_avatar.artifacts.poses import Poses
-from deblur_avatar.body_estimation.swept_mattes import poses_between, swept_mattes
+from deblur_avatar.body_estimation.swept_mattes import swept_mattes
 
 SIZE, FRAMES = 96, 3
 TIMES = torch.arange(FRAMES) / 30.0
@@ -66,11 +65,3 @@ def test_mattes_are_never_made_longer_and_those_of_instants_are_left_alone(body,
     assert (swept_mattes(detected, clip(front, 1 / 30), body, poses) <= detected).all()
     assert torch.equal(swept_mattes(detected, clip(front, 0.0), body, poses), detected)
     assert torch.equal(swept_mattes(detected, clip(front, None), body, poses), detected)
-
-
-def test_poses_between_frames_move_evenly_and_stop_at_the_ends(body):
-    poses = posed_arm(body, 60.0, slide=0.2)
-    found = poses_between(poses, TIMES, torch.tensor([-1.0, 0.25 / 30, 1.5 / 30, 9.0]))
-    angle = torch.rad2deg(found.body_pose[:, 15, 2])
-    assert angle.tolist() == pytest.approx([-60, -45, 30, 60], abs=1e-3)
-    assert found.transl[:, 0].tolist() == pytest.approx([0, 0.05, 0.3, 0.4], abs=1e-6)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.animation.driving_motion import turn_between
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.exports.shown_motion import shown_motions
 from deblur_avatar.geometry.cameras import Camera, look_at
+from deblur_avatar.geometry.rotations import turn_between
 from deblur_avatar.imaging.color import srgb_to_linear
 from tests.exports.browser import opened, pixels, silent_page
 

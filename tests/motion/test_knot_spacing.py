@@ -12,6 +12,7 @@ from deblur_avatar.motion.knot_spacing import choose_spacing
 FPS = 60.0
 TIMES = torch.arange(72) / FPS
 FRAME = 1 / FPS
+SEEN = torch.ones(len(TIMES), dtype=torch.bool)
 
 
 def swinging(period_s: float, degrees: float = 60.0, noise_degrees: float = 0.0) -> Poses:
@@ -30,8 +31,10 @@ def swinging(period_s: float, degrees: float = 60.0, noise_degrees: float = 0.0)
     )
 
 
-def frames(poses: Poses, coarsest: float = 4.0, finest: float = 1.0) -> float:
-    spacing = choose_spacing(poses, TIMES, coarsest * FRAME, finest * FRAME, 0.1, 0.035)
+def frames(
+    poses: Poses, coarsest: float = 4.0, finest: float = 1.0, seen: torch.Tensor = SEEN
+) -> float:
+    spacing = choose_spacing(poses, TIMES, seen, coarsest * FRAME, finest * FRAME, 0.1, 0.035)
     return round(spacing / FRAME, 3)
 
 
@@ -58,7 +61,7 @@ def test_what_was_chosen_is_said(caplog):
 @pytest.mark.parametrize("count", [2, 3, 5])
 def test_a_few_frames_choose_without_failing(count):
     poses = swinging(0.25).at(slice(0, count))
-    spacing = choose_spacing(poses, TIMES[:count], 4 * FRAME, FRAME, 0.1, 0.035)
+    spacing = choose_spacing(poses, TIMES[:count], SEEN[:count], 4 * FRAME, FRAME, 0.1, 0.035)
     assert spacing >= FRAME * 0.999
 
 
@@ -67,3 +70,12 @@ def test_the_sign_of_a_quaternion_is_no_motion():
     turned = torch.linspace(2.5, 4.5, len(TIMES))  # through half a turn, where signs flip
     orient = torch.stack([0 * turned, turned, 0 * turned], 1)
     assert frames(dataclasses.replace(poses, global_orient=orient)) == 4.0
+
+
+def test_frames_in_which_nobody_is_seen_have_no_say():
+    poses = swinging(0.25, degrees=25.0)
+    still, moved = poses.body_pose.clone(), torch.arange(len(TIMES)) < len(TIMES) // 6
+    still[~moved] = 0  # most of the frames
+    assert frames(dataclasses.replace(poses, body_pose=still)) == 4.0
+    assert frames(dataclasses.replace(poses, body_pose=still), seen=moved) == 2.0
+    assert frames(poses, seen=~SEEN) == 4.0

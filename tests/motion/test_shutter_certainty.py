@@ -130,6 +130,21 @@ def test_a_shutter_that_still_moved_is_less_certain(filmed):
     assert drifted["shutter_std_s"] == pytest.approx(0.19 * TRUE, rel=0.05)
 
 
+@pytest.mark.parametrize("times", [1.1, 1.2, 1.25, 1.3, 1.45])
+def test_a_shutter_that_ends_at_its_bound_is_said_to(filmed, caplog, times):
+    model, seen = filmed(12.0)
+    within, beyond = along(seen, TRUE), along(seen, 3 * TRUE)
+    with caplog.at_level(logging.INFO, logger="deblur_avatar"):
+        for motion, at_bound in ((within, False), (beyond, True)):
+            caplog.clear()
+            motion._max_log_shutter = math.log(times)
+            motion.keep_possible()
+            found = motion.settle(seen, exposure_renderer(model, seen))
+            assert found["shutter_from"] == "frames"
+            assert found["shutter_s"] == pytest.approx((times if at_bound else 1) * TRUE, rel=1e-4)
+            assert ("as long as frames are apart" in caplog.text) == at_bound
+
+
 def test_a_single_frame_tells_nothing(filmed):
     model, seen = filmed(12.0)
     seen = dataclasses.replace(seen, train=(5,))

@@ -9,7 +9,9 @@ from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.evaluation.findings import tell
 from deblur_avatar.evaluation.scene_measures import (
+    background_light,
     blur_extent,
+    comparable_share,
     coverage,
     seen_azimuths,
     silhouette,
@@ -125,6 +127,30 @@ def test_a_background_that_nothing_takes_away_is_found(seen):
     # What is not compared does no harm.
     masked = dataclasses.replace(room, comparable=torch.where(seen.mattes == 0, 0, 255).byte())
     assert verdicts(masked)["background_light"] == "ok"
+
+
+def test_background_light_is_the_mean_of_frames_with_a_person(seen):
+    outside = seen.mattes[..., None] == 0
+    levels = torch.arange(len(seen.frames))[:, None, None, None] * 10
+    frames = torch.where(outside, levels, seen.frames).to(torch.uint8)
+    weights = torch.ones(len(frames))
+    weights[-1] = 0
+    several = dataclasses.replace(seen, frames=frames, weights=weights)
+    counts = outside.flatten(1).sum(1)[:-1].double()
+    wanted = float((counts * levels.flatten()[:-1]).sum() / counts.sum())
+    assert background_light(several) == pytest.approx(wanted)
+    full = dataclasses.replace(several, mattes=torch.full_like(seen.mattes, 255))
+    assert background_light(full) is None
+
+
+def test_the_comparable_share_is_of_coverage(seen):
+    halves = torch.zeros_like(seen.mattes)
+    halves[::2], halves[1::2] = 255, 51
+    cover = seen.mattes.double().flatten(1).sum(1)
+    wanted = float((cover[::2].sum() + 0.2 * cover[1::2].sum()) / cover.sum())
+    assert 0.2 < wanted < 1
+    found = comparable_share(dataclasses.replace(seen, comparable=halves))
+    assert found == pytest.approx(wanted)
 
 
 def test_a_person_who_is_hardly_compared_is_found(seen):

@@ -409,6 +409,35 @@ def test_hands_and_face_are_looked_for_where_asked(
     assert apart.abs().max() > 1e-4
 
 
+@pytest.mark.parametrize("cameras", ["one", "several"])
+def test_poses_of_frames_in_which_nobody_is_seen_lie_between_where_asked(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], poses: Poses, monkeypatch, cameras
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 60)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
+    monkeypatch.setattr("deblur_avatar.body_estimation.unseen_frames.EASE_S", 1e-3)
+    monkeypatch.setattr(
+        "deblur_avatar.pipeline.preprocess.detect_parts",
+        lambda *_: parts_perfectly(body, poses, CAMERAS, TRAIN),
+    )
+    gone, alone = torch.isin(torch.arange(FRAMES), torch.tensor([3, 4, 5])), cameras == "one"
+    seen = people[TRAIN]
+    person = dataclasses.replace(
+        seen, found=~gone, visibility=seen.visibility * ~gone[:, None],
+        mattes=torch.where(gone[:, None, None], 0, seen.mattes),
+    )  # fmt: skip
+    filmed = of_one_camera(clip) if alone else clip
+    for kind in ("estimated", "estimated_in_detail"):
+        detect = OneCamera(person) if alone else Detector(people | {TRAIN: person})
+        made = run(filmed, body, detect, poses=kind, masks="estimated")
+        assert (made.blurred.weights[gone] == 0).all()
+        transl = made.blurred.poses.transl
+        middle = (transl[2] + transl[6]) / 2
+        # Another camera that saw her told the pose.
+        is_even = alone and kind == "estimated_in_detail"
+        assert torch.allclose(transl[4], middle, atol=1e-5) == is_even
+
+
 def test_given_poses_come_from_no_pose_model(clip: BlurryClip, body: Body):
     assert run(clip, body).metrics["pose_model"] is None
 

@@ -1,4 +1,5 @@
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -6,6 +7,7 @@ import torch
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.motion.clip import ClipMotion
 from deblur_avatar.motion.frame import FrameMotion
 from deblur_avatar.motion.pair import PairMotion
 from deblur_avatar.pipeline.trajectory import TrajectoryParams, fit_trajectory, new_trajectory
@@ -172,6 +174,33 @@ def test_a_shutter_is_an_unknown_where_the_clip_only_guesses_it(observations, me
     ):  # fmt: skip
         trajectory = new_trajectory(seen, params, torch.Generator())
         assert trajectory.log_shutter.requires_grad is unknown
+
+
+@pytest.mark.parametrize(
+    ("share", "std", "longest"),
+    [(0.5, 0.7, 1.0), (1.0, 0.7, 1.0), (1 + 1e-7, 0.7, 1.0), (2.0, 0.7, 8.0), (0.5, None, 2.0)],
+)
+def test_a_guessed_shutter_is_closed_when_the_next_frame_begins(
+    observations, method, share, std, longest
+):
+    frame = float(observations.timestamps.diff().median())
+    seen = dataclasses.replace(observations, exposure=share * frame, exposure_std=std)
+    shutter = {"kind": "estimated", "rate": 0.02, "weight": 0.0}
+    trajectory = new_trajectory(seen, method("lean", shutter=shutter).motion, torch.Generator())
+    for log_shutter in (50.0, -0.2):
+        with torch.no_grad():
+            trajectory.log_shutter.fill_(log_shutter)
+        trajectory.keep_possible()
+        found = trajectory.estimated_shutter(observations.timestamps) / frame
+        wanted = longest if log_shutter > 0 else share * math.exp(log_shutter)
+        assert found == pytest.approx(wanted, rel=1e-4)
+
+
+def test_unknowns_are_kept_possible_after_every_step(go_on, method, schedule, monkeypatch):
+    calls = []
+    monkeypatch.setattr(ClipMotion, "keep_possible", lambda self: calls.append(self))
+    go_on(method("lean"))
+    assert len(calls) == schedule.trajectory - schedule.warmup
 
 
 def test_one_blurred_frame_has_no_trajectory(make_observations, method):

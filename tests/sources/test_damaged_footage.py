@@ -59,8 +59,8 @@ def write(
 ) -> Path:
     """Encode as phones do: H.264 with B frames and half the colour, with loss.
 
-    Of the same codes x264 writes another file now and then (of four frames one in a thousand, of
-    noise many more), even with one thread: what a test says must hold of all such files.
+    Of the same codes x264 writes another file now and then, even with one thread (decision 78):
+    what a test says must hold of all such files.
     """
     seconds = seconds or [index / fps for index in range(len(frames))]
     with av.open(str(path), "w") as container:
