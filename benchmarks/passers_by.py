@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from benchmarks.exercises import options_of, print_rows
+from benchmarks.exercises import print_measured
 from benchmarks.hands_and_head import SHAPE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.body_estimation import person_choice
@@ -169,10 +169,7 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
 
 def main() -> None:
     """Film and follow all people, print."""
-    options = options_of(__doc__, frames=60, people=3)
-    torch.set_num_threads(1)
-    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    print_rows(options, "cases", rows)
+    print_measured(__doc__, "cases", measure, frames=60, people=3)
 
 
 if __name__ == "__main__":

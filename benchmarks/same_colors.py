@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from benchmarks.exercises import exercising, options_of, print_rows
+from benchmarks.exercises import exercising, print_measured
 from benchmarks.hands_and_head import SHAPE, exposed
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.bodies.posed_body import shaped_joints, shaped_vertices
@@ -145,10 +145,7 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
 
 def main() -> None:
     """Film, find and trim all people, print."""
-    options = options_of(__doc__, frames=24, people=3)
-    torch.set_num_threads(1)
-    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    print_rows(options, "same_colors", rows)
+    print_measured(__doc__, "same_colors", measure, frames=24, people=3)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmarks.exercises import EXERCISES, drawn, options_of, print_rows
+from benchmarks.exercises import EXERCISES, drawn, print_measured
 from benchmarks.hands_and_head import SIZE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
@@ -89,10 +89,7 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
 
 def main() -> None:
     """Film and find all people, print."""
-    options = options_of(__doc__, frames=20, people=2)
-    torch.set_num_threads(1)
-    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    print_rows(options, "pixels tall", rows)
+    print_measured(__doc__, "pixels tall", measure, frames=20, people=2)
 
 
 if __name__ == "__main__":

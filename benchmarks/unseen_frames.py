@@ -18,8 +18,8 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from benchmarks.exercises import options_of, print_rows
-from benchmarks.hands_and_head import FPS, RING, SHAPE, SIZE, filmed
+from benchmarks.exercises import film_of, print_measured
+from benchmarks.hands_and_head import FPS, RING, SHAPE, SIZE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
@@ -29,7 +29,6 @@ from deblur_avatar.body_estimation.unseen_frames import between_seen
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.sources.studio.cameras import place_cameras
 from deblur_avatar.sources.studio.improvised import improvise
-from deblur_avatar.sources.studio.person import create_person
 
 UNSEEN_S = (0.125, 0.25, 0.375, 0.5, 1.0, 2.0)
 
@@ -62,14 +61,10 @@ def errors_of_person(
     """Draw a person; errors by how long nobody is seen and by what fills the gap."""
     generator = torch.Generator().manual_seed(seed)
     betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
-    person, cameras = create_person(body, betas), place_cameras(2, SIZE, RING)
+    cameras = place_cameras(2, SIZE, RING)
     times = torch.arange(frames) / FPS
     moves = improvise(generator)(times, float(times[-1]))
-    pictures, mattes = filmed(person, moves, cameras, 1)
-    true = Poses(
-        betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
-    )  # fmt: skip
+    pictures, mattes, true, _ = film_of(body, betas, moves, times, cameras)
     found = replace(detect_with_mediapipe(pictures), mattes=mattes)
     whole = fit_body(body, cameras, (0,), [found], times, any_pose=True).poses
     rows: dict[float, dict[str, dict[str, float]]] = {}
@@ -102,10 +97,7 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
 
 def main() -> None:
     """Film, find, fit without some frames, print."""
-    options = options_of(__doc__, frames=96, people=3)
-    torch.set_num_threads(1)
-    rows = measure(Body.load(options.body), options.first, options.people, options.frames)
-    print_rows(options, "unseen_s", rows)
+    print_measured(__doc__, "unseen_s", measure, frames=96, people=3)
 
 
 if __name__ == "__main__":
