@@ -132,11 +132,7 @@ def film_of(
 ) -> Film:  # fmt: skip
     """Draw somebody who moves, sharply, as the first camera sees her."""
     pictures, mattes = filmed(create_person(body, betas), moves, cameras, 1)
-    poses = Poses(
-        betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
-    )  # fmt: skip
-    return Film(pictures, mattes, poses, times)
+    return Film(pictures, mattes, moves.poses(betas), times)
 
 
 def errors_of(

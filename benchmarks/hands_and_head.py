@@ -128,12 +128,7 @@ def errors_of_person(body: Body, seed: int, frames: int, shutter: float) -> dict
     moves = gesturing(generator, times)
     pictures, mattes = filmed(person, moves, cameras, instants)
     middle = slice(instants // 2, None, instants)
-    true = Poses(
-        betas=betas,
-        global_orient=moves.global_orient[middle].float(),
-        body_pose=moves.body_pose[middle].float(),
-        transl=moves.transl[middle].float(),
-    )
+    true = moves.poses(betas).at(middle)
     plain = replace(detect_with_mediapipe(pictures), mattes=mattes)
     detailed = replace(plain, parts=detect_parts(pictures, plain.points, plain.visibility))
     result = {"found": found_in(detailed)}

@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.artifacts.clip import BlurryClip
-from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
 from deblur_avatar.sources.missing_poses import fill_missing
 from deblur_avatar.sources.studio.motion import Moves
@@ -48,7 +47,7 @@ def _noise(correlation_s: float, degrees: bool) -> Damage:
         true = Moves(exact.global_orient.double(), exact.body_pose.double(), exact.transl.double())
         turns, shifts = (amount, 0.0) if degrees else (1.5, 10 * amount)
         wrong = disturb(true, clip.timestamps, turns, shifts, correlation_s, generator)
-        return dataclasses.replace(clip, initial=_poses(wrong, exact))
+        return dataclasses.replace(clip, initial=wrong.poses(exact.betas))
 
     return damage
 
@@ -302,15 +301,6 @@ def _mirrored(clip: BlurryClip, amount: float, generator: torch.Generator) -> Bl
     viewmats = clip.cameras.viewmats.clone()
     viewmats[clip.train_camera, 0] *= -1
     return dataclasses.replace(clip, cameras=dataclasses.replace(clip.cameras, viewmats=viewmats))
-
-
-def _poses(moves: Moves, like: Poses) -> Poses:
-    return Poses(
-        betas=like.betas,
-        global_orient=moves.global_orient.float(),
-        body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
-    )
 
 
 DAMAGES: dict[str, Damage] = {

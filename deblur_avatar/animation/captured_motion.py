@@ -4,16 +4,14 @@ Frames may be unevenly spaced; what comes out is at an even rate, upright on the
 `stage.py`.
 """
 
+from dataclasses import replace
+
 import torch
 
 from deblur_avatar.animation.driving_motion import BodyMotion
 from deblur_avatar.animation.stage import Stage
 from deblur_avatar.artifacts.motion import Motion
-from deblur_avatar.geometry.rotations import (
-    axis_angle_to_matrix,
-    matrix_to_axis_angle,
-    turn_between,
-)
+from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
 def captured_motion(
@@ -37,17 +35,17 @@ def captured_motion(
         raise ValueError(f"the motion lasts {float(times[-1]):.2f} s, it cannot start at {start:g}")
     last = min(start + seconds, float(times[-1]))
     wanted = start + torch.arange(int((last - start) * fps + 1e-6) + 1).double() / fps
-    after = torch.searchsorted(times, wanted).clamp(1, max(len(times) - 1, 1))
-    before = after - 1
-    after = after.clamp(max=len(times) - 1)
-    gap = (times[after] - times[before]).clamp(min=1e-9)
-    share = ((wanted - times[before]) / gap).clamp(0, 1).float()
     stage_from_world = stage.world_from_stage.T
-    orient = matrix_to_axis_angle(stage_from_world @ axis_angle_to_matrix(filmed.global_orient))
-    place = filmed.transl @ stage.world_from_stage
+    turned = stage_from_world @ axis_angle_to_matrix(filmed.global_orient)
+    staged = replace(
+        filmed,
+        global_orient=matrix_to_axis_angle(turned),
+        transl=filmed.transl @ stage.world_from_stage,
+    )
+    shown = staged.at_times(times, wanted)
     return BodyMotion(
         fps=fps,
-        global_orient=turn_between(orient[before], orient[after], share),
-        body_pose=turn_between(filmed.body_pose[before], filmed.body_pose[after], share),
-        transl=torch.lerp(place[before], place[after], share[:, None]),
+        global_orient=shown.global_orient,
+        body_pose=shown.body_pose,
+        transl=shown.transl,
     )

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deblur_avatar.geometry.rotations import turn_between
+from deblur_avatar.geometry.pose_interpolation import interpolated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,15 +60,8 @@ def resample(motion: BodyMotion, fps: float, start: float, seconds: float) -> Bo
         raise ValueError(f"the motion lasts {motion.seconds:.2f} s, it cannot start at {start:g} s")
     length = min(seconds, motion.seconds - start)
     count = math.floor(length * fps + 1e-6) + 1  # a frame that is late by rounding still counts
-    places = (start + torch.arange(count, dtype=torch.float64) / fps) * motion.fps
-    before = places.floor().long().clamp(max=len(motion.transl) - 1)
-    after = (before + 1).clamp(max=len(motion.transl) - 1)
-    share = (places - before).to(motion.transl.dtype)
-    return BodyMotion(
-        fps=fps,
-        global_orient=turn_between(
-            motion.global_orient[before], motion.global_orient[after], share
-        ),
-        body_pose=turn_between(motion.body_pose[before], motion.body_pose[after], share),
-        transl=torch.lerp(motion.transl[before], motion.transl[after], share[:, None]),
-    )
+    numbers = (start + torch.arange(count, dtype=torch.float64) / fps) * motion.fps
+    turns = torch.cat([motion.global_orient[:, None], motion.body_pose], 1)
+    known = torch.arange(len(turns), dtype=torch.float64)
+    turned, transl = interpolated(turns, motion.transl, known, numbers)
+    return BodyMotion(fps=fps, global_orient=turned[:, 0], body_pose=turned[:, 1:], transl=transl)

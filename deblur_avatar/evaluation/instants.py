@@ -15,7 +15,7 @@ from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
-from deblur_avatar.geometry.rotations import axis_angle_to_quat, quat_to_axis_angle, slerp
+from deblur_avatar.geometry.rotations import turn_between
 from deblur_avatar.motion.kinds import kind_of
 
 
@@ -57,8 +57,7 @@ def exposure_of(motion: Motion, position: int) -> Poses:
 
 def between(start: Poses, end: Poses, share: float) -> Poses:
     """Poses a share of the way from some to as many others, along the shortest arcs."""
-    first, second = (axis_angle_to_quat(poses.axis_angle) for poses in (start, end))
-    mixed = quat_to_axis_angle(slerp(first, second, torch.tensor([share]))[0])
+    mixed = turn_between(start.axis_angle, end.axis_angle, torch.full((len(start.transl),), share))
     transl = start.transl + share * (end.transl - start.transl)
     return replace(start, global_orient=mixed[:, 0], body_pose=mixed[:, 1:], transl=transl)
 

@@ -108,9 +108,7 @@ def slerp(
     and the double cover of rotations by quaternions resolved. Written as start * (start^-1 end)^u,
     which has finite, exact gradients where both ends are equal, where the usual form divides 0 / 0.
     """
-    step = quat_to_axis_angle(quat_multiply(quat_conjugate(start), end))
-    parts = axis_angle_to_quat(u.reshape(-1, *[1] * step.ndim) * step)
-    return quat_multiply(start.expand_as(parts), parts)
+    return _partway(start, end, u.reshape(-1, *[1] * start.ndim))
 
 
 def turn_between(
@@ -119,10 +117,17 @@ def turn_between(
     share: Float[Tensor, " F"],
 ) -> Float[Tensor, "F *joints 3"]:
     """Turn along the shorter arc, with a share of its own for each frame; axis-angle in and out."""
-    first = axis_angle_to_quat(start)
-    step = quat_to_axis_angle(quat_multiply(quat_conjugate(first), axis_angle_to_quat(end)))
-    part = axis_angle_to_quat(share.reshape(-1, *[1] * (step.ndim - 1)) * step)
-    return quat_to_axis_angle(quat_multiply(first, part))
+    first, last = axis_angle_to_quat(start), axis_angle_to_quat(end)
+    return quat_to_axis_angle(_partway(first, last, share.reshape(-1, *[1] * (first.ndim - 1))))
+
+
+def _partway(
+    start: Float[Tensor, "*batch 4"], end: Float[Tensor, "*batch 4"], share: Float[Tensor, "..."]
+) -> Float[Tensor, "... 4"]:
+    """Turn by shares of the way that broadcast against axis-angle vectors of the whole of it."""
+    step = quat_to_axis_angle(quat_multiply(quat_conjugate(start), end))
+    parts = axis_angle_to_quat(share * step)
+    return quat_multiply(start.expand_as(parts), parts)
 
 
 def _products(a: Float[Tensor, "*batch 4"], b: Float[Tensor, "*batch 4"]) -> Tensor:

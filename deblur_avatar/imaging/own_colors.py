@@ -72,15 +72,15 @@ def own_colors(
             middle.
         light: as `LimbColors` has it.
     """
-    numbers = range(len(frames))
 
-    def even(index: int, capsules: Float[Tensor, "T 6"]) -> UInt8[np.ndarray, "P 3"]:
-        pixels = torch.from_numpy(_covered(frames[index], capsules))[None]
-        return _in_light(pixels, None if light is None else -light, index)[0].numpy()
+    def even(index: int) -> list[UInt8[np.ndarray, "P 3"]]:
+        pixels = [torch.from_numpy(_covered(frames[index], limb))[None] for limb in capsules[index]]
+        away = None if light is None else -light
+        return [_in_light(limb, away, index)[0].numpy() for limb in pixels]
 
     colors = torch.full((capsules.shape[1], 3), torch.nan)
-    for limb, moving in enumerate(capsules.unbind(1)):
-        pixels = np.concatenate(in_threads(even, numbers, moving))
+    for limb, seen in enumerate(zip(*in_threads(even, range(len(frames))), strict=True)):
+        pixels = np.concatenate(seen)
         if len(pixels) >= FEWEST:
             colors[limb] = torch.from_numpy(np.median(pixels, axis=0))
     return LimbColors(colors, capsules, light)

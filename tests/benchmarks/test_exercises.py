@@ -5,7 +5,6 @@ import torch
 
 from benchmarks.exercises import CYCLE, EXERCISES, exercising
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
-from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
 
 TIMES = torch.linspace(0, CYCLE, 9)
@@ -14,11 +13,7 @@ TIMES = torch.linspace(0, CYCLE, 9)
 def joints_and_vertices(body, name):
     betas = torch.zeros(body.shape_dirs.shape[2])
     moves = exercising(body, betas, name, TIMES, phase=0.0)
-    poses = Poses(
-        betas=betas, global_orient=moves.global_orient.float(), body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
-    )  # fmt: skip
-    found = posed(body, poses)
+    found = posed(body, moves.poses(betas))
     by_name = dict(zip(SMPL_JOINT_NAMES, found.joints.unbind(1), strict=True))
     return by_name, found.vertices
 

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.exports.shown_motion import shown_motions
 from deblur_avatar.geometry.cameras import Camera, look_at
-from deblur_avatar.geometry.rotations import turn_between
 from deblur_avatar.imaging.color import srgb_to_linear
 from tests.exports.browser import opened, pixels, silent_page
 
@@ -64,17 +62,8 @@ def test_the_shutter_is_the_mean_of_sharp_instants_in_the_averaging_space(shown)
     motion, shutter, count = motions["own"], 1 / 30, 7
     u = (torch.arange(count) + 0.5) / count - 0.5
     places = 2 + 60 * shutter * u  # in frames
-    before = places.floor().long()
-    share = places - before
     poses = motion.poses
-    instants = Poses(
-        betas=poses.betas,
-        global_orient=turn_between(
-            poses.global_orient[before], poses.global_orient[before + 1], share
-        ),
-        body_pose=turn_between(poses.body_pose[before], poses.body_pose[before + 1], share),
-        transl=torch.lerp(poses.transl[before], poses.transl[before + 1], share[:, None]),
-    )
+    instants = poses.at_times(torch.arange(len(poses.transl)).float(), places)
     seen = camera(EYES["front"])
     ours, alpha = render_avatar(model, instants, seen, average=True)
     sharp, _ = render_avatar(model, poses.at([2]), seen)

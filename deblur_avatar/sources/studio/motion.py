@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
+from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.geometry.rotations import (
     axis_angle_to_quat,
@@ -39,6 +40,15 @@ class Moves:
     def axis_angle(self) -> Float[Tensor, "M J 3"]:
         """Rotations of all joints relative to their parents, the root's first."""
         return torch.cat([self.global_orient[:, None], self.body_pose], dim=1)
+
+    def poses(self, betas: Float[Tensor, " B"]) -> Poses:
+        """The same as an artifact, of a body of that shape."""
+        return Poses(
+            betas=betas,
+            global_orient=self.global_orient.float(),
+            body_pose=self.body_pose.float(),
+            transl=self.transl.float(),
+        )
 
 
 Motion = Callable[[Float[Tensor, " M"], float], Moves]

@@ -20,7 +20,6 @@ from deblur_avatar import run
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.clip import Clip
-from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.section import Count, Fraction, NonNegative, Params, Positive
 from deblur_avatar.errors import ConfigError
@@ -197,8 +196,8 @@ def _film_clip(scene: Scene, generator: torch.Generator) -> Clip:
         exposure=0.0,
         averaging_space="linear",
         held_out_from=scene.held_out_from,
-        initial=_poses(initial, betas),
-        exact=_poses(scene.true, betas),
+        initial=initial.poses(betas),
+        exact=scene.true.poses(betas),
         true_blur_srgb=in_srgb[..., :3],
         true_blur_linear=in_linear[..., :3],
         true_blur_mattes=in_linear[..., 3],
@@ -257,7 +256,7 @@ def _film_reference(scene: Scene) -> Reference:
         novel_pose=(frame_indices >= scene.held_out_from).long(),
         background=(0.0, 0.0, 0.0),
         motion_times=scene.subtimes.float(),
-        motion=_poses(scene.fine, person.betas),
+        motion=scene.fine.poses(person.betas),
     )
 
 
@@ -276,12 +275,3 @@ def _at(moves: Moves, frames: tuple[int, ...]) -> Moves:
     chosen = list(frames)
     swing = None if moves.swing is None else moves.swing[chosen]
     return Moves(moves.global_orient[chosen], moves.body_pose[chosen], moves.transl[chosen], swing)
-
-
-def _poses(moves: Moves, betas: Float[Tensor, " B"]) -> Poses:
-    return Poses(
-        betas=betas,
-        global_orient=moves.global_orient.float(),
-        body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
-    )

@@ -138,13 +138,9 @@ def _with_test_cameras(filmed: Cameras, ring: Cameras, viewmat: Float[Tensor, "4
 
 def _poses(scene: Set, moves: Moves, viewmats: Float[Tensor, "M 4 4"]) -> Poses:
     """True poses in the recorded camera's axes."""
-    poses = Poses(
-        betas=scene.betas,
-        global_orient=moves.global_orient.float(),
-        body_pose=moves.body_pose.float(),
-        transl=moves.transl.float(),
+    return before_still_camera(
+        moves.poses(scene.betas), viewmats, shaped_joints(scene.body, scene.betas)[0]
     )
-    return before_still_camera(poses, viewmats, shaped_joints(scene.body, scene.betas)[0])
 
 
 def _reference(
