@@ -15,7 +15,7 @@ PROGRAM = "deblur-avatar"
 BASH = """\
 _deblur_avatar() {{
   local word=${{COMP_WORDS[COMP_CWORD]}} before=${{COMP_WORDS[COMP_CWORD-1]}} known=""
-  if [ "$COMP_CWORD" -eq 1 ]; then known="{commands} --help"
+  if [ "$COMP_CWORD" -eq 1 ]; then known="{commands} --help --version"
   else
     case "${{COMP_WORDS[1]}} $before" in
 {choices}

@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Collection, Sequence
 
+import deblur_avatar
 from deblur_avatar.ending import exit_code, leave_at_once, raise_again
 
 # Modules and what they do; a module is imported once it is asked for, because torch takes seconds.
@@ -48,6 +49,14 @@ environment:
 """
 
 
+class _Version(argparse.Action):
+    """Looked up only when it is asked for: a checkout that is not installed has none."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        sys.stdout.write(f"{parser.prog} {deblur_avatar.__version__}\n")
+        parser.exit()
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Run one subcommand; returns the exit code.
 
@@ -72,6 +81,7 @@ def command_parser(loaded: Collection[str]) -> argparse.ArgumentParser:
         epilog=MANUAL,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="say it and exit")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
     for name, purpose in COMMANDS.items():
         module = importlib.import_module(f"{__package__}.{name}") if name in loaded else None

@@ -56,7 +56,7 @@ def test_bash_completes_commands_options_and_choices(scripts, line, offered):
 
 
 def test_bash_knows_every_command(scripts):
-    assert completed(scripts["bash"], "deblur-avatar ") == {*COMMANDS, "--help"}
+    assert completed(scripts["bash"], "deblur-avatar ") == {*COMMANDS, "--help", "--version"}
 
 
 def test_zsh_takes_the_function_of_bash(scripts):

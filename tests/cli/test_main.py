@@ -41,6 +41,13 @@ def test_the_manual_says_what_every_exit_code_means(capsys):
     assert all(f"\n  {code} " in said for code in (0, 1, 2, STOPPED))
 
 
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert (end.value.code, capsys.readouterr().out) == (0, f"deblur-avatar {declared}\n")
+
+
 def test_an_interrupted_command_says_that_it_goes_on_and_ends_as_shells_expect(monkeypatch, capsys):
     def interrupted(asked):
         raise KeyboardInterrupt
