@@ -282,7 +282,7 @@ class AvatarModel(nn.Module, ABC):
         """Give frames that were not trained on what belongs to one frame."""
 
     def inpaint(self, fitting: Any, observations: Observations, centre: Poses) -> None:
-        """Give what no frame shows the looks of what is beside it, of kinds that do, once fitted.
+        """Give what no frame shows the looks of what frames show, of kinds that do, once fitted.
 
         Args:
             fitting: of its class `Fitting`.

@@ -2,13 +2,20 @@
 
 Colours. Likeness of neighbours (`plain_avatar.py`) carries colours to the side that is not seen
 only as far as a fit has steps for: its penalty is absolute, so that a patch which nothing has
-coloured moves at its edge alone, and what is far from that keeps the grey it began with. Once the
-avatar is fitted, the same penalty is brought to its minimum over Gaussians whose light no frame
-shows: total variation inpainting (Chan and Shen, "Nontexture inpainting by curvature-driven
-diffusions", JVCIR 2001) on the graph of nearest neighbours, by reweighted least squares
-(Daubechies et al., CPAM 2010). It ends where a shirt ends, which a mean would not. What goes on is
-what was seen well: at the edge of what the camera sees lie Gaussians that a few pixels show, half
-coloured, and a rim of them would be all that the other side is filled from.
+coloured moves at its edge alone, and what is far from that keeps the grey it began with. And at the
+edge of what the camera sees lie Gaussians that a few pixels show, half coloured, half the
+background's. So once the avatar is fitted, Gaussians whose light no frame shows take the colour
+that is well seen at the same place along the same limb (`limb_bands.py`).
+
+Where a limb shows too little, the penalty is brought to its minimum: total variation inpainting
+(Chan and Shen, "Nontexture inpainting by curvature-driven diffusions", JVCIR 2001) on the graph of
+nearest neighbours, by reweighted least squares (Daubechies et al., CPAM 2010). It ends where a
+shirt ends, which a mean would not.
+
+What a frame shows. Fronts let a hundredth of the light behind them through, and from a hundred
+pixels a back that nobody sees gathers a pixel's worth. So a frame counts for what turns away where
+at least a twentieth of its own light arrives. A colour that goes on is one of a surface that faced
+the camera: what stands out beside a silhouette has the colour of its edge.
 
 Heights. Along the camera's line of sight a Gaussian may stand anywhere and be as thick as it likes,
 and where poses are a little off it makes up for them by reaching in front of the body or behind it,
@@ -21,7 +28,7 @@ crown stays open. So a head is closed nearer to its silhouette than the rest of 
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -30,11 +37,13 @@ from pydantic import model_validator
 from scipy.sparse import csr_matrix, diags_array
 from scipy.sparse.linalg import splu
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
 from deblur_avatar.avatars.gaussians import neighbour_indices
+from deblur_avatar.avatars.limb_bands import LimbPlaces, band_colors, limb_places
 from deblur_avatar.avatars.params import AvatarParams, FittingParams
 from deblur_avatar.avatars.plain_avatar import (
     COLORS,
@@ -45,15 +54,23 @@ from deblur_avatar.avatars.plain_avatar import (
 )
 from deblur_avatar.avatars.regularisers import excess_height
 from deblur_avatar.avatars.splats import SplatRendering
+from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.config.section import NonNegative, Positive
+from deblur_avatar.geometry.cameras import Camera, camera_centres
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
+from deblur_avatar.geometry.skinning import blend_transforms, invert_rigid, transform_points
 from deblur_avatar.geometry.spacing import evenly_spaced
+from deblur_avatar.rendering.conventions import eps2d_of
 from deblur_avatar.rendering.covariance_factors import covariance_factors
+from deblur_avatar.rendering.covariances import whole_matrices
+from deblur_avatar.rendering.reference import project
 
 LOOKS = 48  # frames at most, spread over the clip
+PASSES = 0.05  # share of its own light that arrives where a frame shows what turns away
+FACES = 0.3  # cosine between a surface and the camera, from where on it faces that
 NEIGHBOURS = 8
 FAR = 1e-4  # weight of a neighbour however far it is, so that no Gaussian is alone
-SURE_SHARE = 0.2  # of all Gaussians go on to others at least: those that show most
+SURE_SHARE = 0.2  # of all Gaussians show enough at least: of somebody small all show few pixels
 OWN = 1e-9  # of a Gaussian's own colour, where all that it is connected with is unseen
 ROUNDS = 12  # of reweighting; the first one's colours are harmonic
 ALIKE = 0.01  # colours this near to each other count as one
@@ -81,7 +98,7 @@ class OneSidedFitting(PlainFitting):
     """As a plain one; and of how many pixels each Gaussian shows in the frame of most."""
 
     least_pixels: Positive  # with fewer its colour is unknown
-    sure_pixels: Positive  # with as many it may go on to others; or where few have them, with fewer
+    sure_pixels: Positive  # of frames that it faces: with as many it goes on; of small people fewer
     regularisers: OneSidedSmoothness
 
     @model_validator(mode="after")
@@ -90,6 +107,13 @@ class OneSidedFitting(PlainFitting):
         if sure < least:
             raise ValueError(f"sure_pixels: {sure} is less than least_pixels, {least}")
         return self
+
+
+class Shown(NamedTuple):
+    """Pixels that Gaussians colour, in the frame of most."""
+
+    pixels: Float[np.ndarray, " N"]  # of frames that they face or to which enough light arrives
+    facing: Float[np.ndarray, " N"]  # of frames for which both are so
 
 
 class OneSidedAvatar(PlainAvatar):
@@ -113,22 +137,28 @@ class OneSidedAvatar(PlainAvatar):
 
     def inpaint(self, fitting: OneSidedFitting, observations: Observations, centre: Poses) -> None:
         """Fill in the colours of Gaussians that show too little of themselves in every frame."""
-        pixels = self.most_pixels(observations, centre).cpu().numpy()
-        few = np.quantile(pixels, 1 - SURE_SHARE)  # of somebody small in the picture: all show few
+        shown, places = self.shown_pixels(observations, centre), self._places()
+        few = np.quantile(shown.pixels, 1 - SURE_SHARE)  # of somebody small: all show few
         enough = max(min(fitting.sure_pixels, few), fitting.least_pixels)
-        unknown, sure = pixels < fitting.least_pixels, pixels >= enough
+        seen = np.where(places.behind, shown.facing, shown.pixels)
+        unknown, sure = seen < fitting.least_pixels, shown.facing >= enough
         if not unknown.any() or not sure.any():
             return
         features = self.gaussians.features
         colors = features[:, :COLORS].detach().sigmoid().cpu().double().numpy()
-        means = self.gaussians.means.detach().cpu().double().numpy()
-        filled = torch.from_numpy(inpainted(means, colors, sure)[unknown])
-        logits = filled.clamp(DARKEST, 1 - DARKEST).logit().to(features)
+        bands = band_colors(colors, np.where(sure, shown.facing, 0), places)
+        banded = unknown & np.isfinite(bands).all(1)
+        colors[banded] = bands[banded]
+        if (unknown & ~banded).any():
+            means = self.gaussians.means.detach().cpu().double().numpy()
+            colors[unknown] = inpainted(means, colors, sure | banded)[unknown]
+        logits = torch.from_numpy(colors[unknown]).clamp(DARKEST, 1 - DARKEST).logit()
         with torch.no_grad():
-            features[torch.from_numpy(unknown).to(features.device), :COLORS] = logits
+            at = torch.from_numpy(unknown).to(features.device)
+            features[at, :COLORS] = logits.to(features)
 
-    def most_pixels(self, observations: Observations, centre: Poses) -> Float[Tensor, " N"]:
-        """How many of the person's pixels each Gaussian colours, in the frame of most.
+    def shown_pixels(self, observations: Observations, centre: Poses) -> Shown:
+        """How many of the person's pixels each Gaussian colours.
 
         Pixels count by their mattes, and not where colours are not compared.
 
@@ -136,22 +166,65 @@ class OneSidedAvatar(PlainAvatar):
             observations: of whose training frames at most `LOOKS` are rendered.
             centre: poses at the middle of each frame.
         """
-        device, camera = self.betas.device, observations.camera
-        most = torch.zeros(len(self.gaussians), device=device)
+        camera = observations.camera
+        most = torch.zeros(2, len(self.gaussians))
         for position in evenly_spaced(observations.shown, LOOKS):
             pose = centre.at([position])
             rotations = axis_angle_to_matrix(pose.axis_angle)
-            with torch.no_grad():
-                transforms = self.transforms(rotations, pose.transl)
-                state = self.condition(rotations[0].to(device), 0, transforms[0], camera.viewmat)
-            # Its colour's share of the picture's sum is what a Gaussian shows.
-            white = torch.ones_like(state.colors, requires_grad=True)
-            rendering = self.render(replace(state, colors=white), transforms, camera.to(device))
             matte = (observations.mattes[position].float() / 255)[..., None].expand(-1, -1, 3)
-            told = observations.comparable_part(matte, position).to(device)
-            (pixels,) = torch.autograd.grad((rendering.image[0] * told).sum(), white)
-            most = torch.maximum(most, pixels[:, 0])
-        return most
+            told = observations.comparable_part(matte, position)
+            most = torch.maximum(most, self._shown(rotations, pose.transl, camera, told).cpu())
+        return Shown(*most.numpy())
+
+    def _shown(
+        self,
+        rotations: Float[Tensor, "1 J 3 3"],
+        transl: Float[Tensor, "1 3"],
+        camera: Camera,
+        told: Float[Tensor, "H W 3"],
+    ) -> Float[Tensor, "2 N"]:
+        """The same in one frame.
+
+        Args:
+            rotations: of joints relative to their parents.
+            transl: of the body.
+            camera: of the frame.
+            told: how far each pixel tells a colour, in [0, 1].
+
+        Returns:
+            As the fields of `Shown`.
+        """
+        device, gaussians, camera = self.betas.device, self.gaussians, camera.to(self.betas)
+        with torch.no_grad():
+            transforms = self.transforms(rotations, transl)
+            state = self.condition(rotations[0].to(device), 0, transforms[0], camera.viewmat)
+        # Its colour's share of the picture's sum is what a Gaussian shows.
+        white = torch.ones_like(state.colors, requires_grad=True)
+        rendering = self.render(replace(state, colors=white), transforms, camera)
+        (pixels,) = torch.autograd.grad((rendering.image[0] * told.to(device)).sum(), white)
+        with torch.no_grad():
+            means, covars = rendering.means, whole_matrices(rendering.covars)
+            unobstructed = gaussians.opacities * project(
+                means, covars, gaussians.opacities, camera.viewmat, camera.K, camera.width,
+                camera.height, eps2d_of(camera.binning),
+            ).areas[0]  # fmt: skip
+            turns = blend_transforms(state.lbs_weights, transforms[0])[:, :3, :3]
+            normals = normalize((turns @ self._surface().normals[..., None])[..., 0])
+            towards = normalize(camera_centres(camera.viewmat) - means[0])
+        passes = pixels[:, 0] >= PASSES * unobstructed
+        faces = (normals * towards).sum(1) >= FACES
+        return pixels[:, 0] * torch.stack([passes | faces, passes & faces])
+
+    def _places(self) -> LimbPlaces:
+        """Where on the body Gaussians are."""
+        means = self.gaussians.means.detach()
+        joints = transform_points(
+            invert_rigid(self.rest_from_canonical), shaped_joints(self.body, self.betas)
+        )
+        return limb_places(
+            means.cpu(), self.weights_at(self.gaussians.means).cpu(), joints.cpu(),
+            self.canonical_vertices.cpu(), self.body,
+        )  # fmt: skip
 
 
 def inpainted(

@@ -52,6 +52,12 @@ class Projection:
         radii = self.extents.amax(-1).ceil()
         return torch.where(self.visible, radii, 0).clamp(max=2**30).int()
 
+    @property
+    def areas(self) -> Float[Tensor, "B N"]:
+        """Integrals of Gaussians of peak 1 over the plane of the image, px^2; 0 where invisible."""
+        xx, xy, yy = self.conics.unbind(-1)
+        return torch.where(self.visible, 2 * torch.pi * (xx * yy - xy * xy).rsqrt(), 0)
+
 
 def rasterize(
     means: Float[Tensor, "B N 3"],

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.avatars import one_sided_avatar
+from deblur_avatar.avatars import limb_bands, one_sided_avatar
 from deblur_avatar.avatars.avatar import TrainingStep
 from deblur_avatar.avatars.closure import VIEWS
 from deblur_avatar.avatars.one_sided_avatar import (
     OneSidedAvatar,
     OneSidedFitting,
     OneSidedParams,
+    Shown,
     inpainted,
     neighbour_weights,
 )
@@ -106,6 +107,18 @@ def still(swinging):
     return swinging(5, 0.0).at([0] * 5)
 
 
+def pixels_of(model, front, still):
+    """How many pixels each Gaussian colours."""
+    return torch.from_numpy(model.shown_pixels(front, still).pixels)
+
+
+def told_of(model, front, still):
+    """What counts for whether a colour is known, and for whether it goes on."""
+    shown, places = model.shown_pixels(front, still), model._places()
+    known = np.where(places.behind, shown.facing, shown.pixels)
+    return torch.from_numpy(known), torch.from_numpy(shown.facing)
+
+
 def fitting(tiny_parameters, **changes):
     settings = tiny_parameters["avatars"]["one_sided"]["fitting"] | {"least_pixels": 0.01}
     return OneSidedFitting(**settings | {"sure_pixels": 0.01} | changes)
@@ -113,7 +126,7 @@ def fitting(tiny_parameters, **changes):
 
 def test_a_back_goes_on_in_the_colours_of_the_front(grey, still, tiny_parameters):
     model, front = grey
-    shown = model.most_pixels(front, still) >= 0.01
+    shown = told_of(model, front, still)[0] >= 0.01
     assert 0.2 < shown.float().mean() < 0.9
     with torch.no_grad():
         model.gaussians.features[shown] = torch.tensor(RED).logit()
@@ -127,9 +140,10 @@ def test_a_back_goes_on_in_the_colours_of_the_front(grey, still, tiny_parameters
 
 def test_colours_at_the_edge_of_what_is_seen_stay_and_do_not_go_on(grey, still, tiny_parameters):
     model, front = grey
-    pixels = model.most_pixels(front, still)
-    sure = float(pixels.quantile(0.7))
-    well, rim = pixels >= sure, (pixels >= 0.01) & (pixels < sure)
+    pixels, facing = told_of(model, front, still)
+    sure = float(pixels[pixels > 0.01].quantile(0.2))
+    assert sure < pixels.quantile(0.8)
+    well, rim = facing >= sure, (pixels >= 0.01) & (facing < sure)
     assert rim.sum() > 80
     with torch.no_grad():
         model.gaussians.features[rim] = torch.tensor(BLUE).logit()
@@ -147,7 +161,7 @@ def test_of_somebody_small_those_go_on_that_show_most(
     model, front = grey
     count = len(model.gaussians)
     shown = pixels * torch.arange(count) / count
-    monkeypatch.setattr(type(model), "most_pixels", lambda *_: shown)
+    monkeypatch.setattr(type(model), "shown_pixels", lambda *_: Shown(shown.numpy(), shown.numpy()))
     most, least = shown >= 0.805 * pixels, shown < 0.1 * pixels
     with torch.no_grad():
         model.gaussians.features[:] = torch.tensor(BLUE).logit()
@@ -167,30 +181,111 @@ def rendered(model, front, still):
     return model.render(state, transforms, front.camera)
 
 
-def test_what_a_gaussian_shows_is_what_the_picture_has_of_it(grey, still):
+def test_what_a_gaussian_shows_is_what_the_picture_has_of_it(grey, still, monkeypatch):
     model, front = grey
-    pixels = model.most_pixels(replace(front, train=(0,)), still)
+    monkeypatch.setattr(one_sided_avatar, "PASSES", 0.0)
+    pixels = pixels_of(model, replace(front, train=(0,)), still)
     alpha = rendered(model, front, still).alpha.detach().sum()
     assert float(pixels.sum()) == pytest.approx(float(alpha), rel=1e-3)
-    assert torch.equal(model.most_pixels(replace(front, train=(0, 1)), still), pixels)
+    assert torch.equal(pixels_of(model, replace(front, train=(0, 1)), still), pixels)
     # Nearer to the camera there is more to be seen, and the most of all frames counts.
     near = still.at([0, 1, 2, 3, 4])
     near.transl[1, 2] += 0.5
-    assert model.most_pixels(replace(front, train=(0, 1)), near).sum() > 1.2 * pixels.sum()
-    assert (model.most_pixels(replace(front, train=(0, 1)), near) >= pixels - 1e-6).all()
+    assert pixels_of(model, replace(front, train=(0, 1)), near).sum() > 1.2 * pixels.sum()
+    assert (pixels_of(model, replace(front, train=(0, 1)), near) >= pixels - 1e-6).all()
 
 
-def test_pixels_count_by_their_mattes_and_where_colours_are_compared(grey, still):
+def test_pixels_count_by_their_mattes_and_where_colours_are_compared(grey, still, monkeypatch):
     model, front = grey
-    whole = model.most_pixels(front, still)
-    half = model.most_pixels(replace(front, mattes=front.mattes // 2), still)
+    monkeypatch.setattr(one_sided_avatar, "PASSES", 0.0)
+    whole = pixels_of(model, front, still)
+    half = pixels_of(model, replace(front, mattes=front.mattes // 2), still)
     assert half.tolist() == pytest.approx((whole * (127 / 255)).tolist(), rel=1e-5)
     left = torch.zeros_like(front.mattes)
     left[..., :12] = 255
-    of_left = model.most_pixels(replace(front, comparable=left), still)
-    assert torch.equal(model.most_pixels(replace(front, mattes=left), still), of_left)
+    of_left = pixels_of(model, replace(front, comparable=left), still)
+    assert torch.equal(pixels_of(model, replace(front, mattes=left), still), of_left)
     assert (of_left <= whole + 1e-6).all()
     assert of_left.sum() == pytest.approx(float(whole.sum() / 2), rel=0.05)  # who stands amid it
+
+
+def test_what_only_shines_through_the_front_shows_nothing(grey, still, monkeypatch):
+    model, front = grey
+    with torch.no_grad():
+        model.gaussians.opacity_logits.fill_(3.0)  # lets a twentieth through
+    shown = model.shown_pixels(front, still)
+    monkeypatch.setattr(one_sided_avatar, "PASSES", 0.0)
+    through = model.shown_pixels(front, still).pixels
+    counts = shown.pixels > 0
+    assert (shown.pixels[counts] == through[counts]).all()
+    hidden = ~counts & (through > 0)
+    assert hidden.mean() > 0.1
+    assert through[hidden].max() > 0.05  # more than is needed to be known
+    cosines = facing_of(model, front)
+    assert (cosines[hidden] < 0.45).all()  # what faces the camera counts
+    assert cosines[hidden].mean() < -0.2 < 0.2 < cosines[counts].mean()
+
+
+def facing_of(model, front):
+    """Cosines between the surface at Gaussians and the camera, of who stands before it."""
+    return (model._surface().normals @ -front.camera.viewmat[2, :3]).numpy()
+
+
+def test_what_turns_away_tells_no_colour(grey, still):
+    model, front = grey
+    shown, cosines = model.shown_pixels(front, still), facing_of(model, front)
+    assert ((shown.facing == shown.pixels) | (shown.facing == 0)).all()
+    assert (shown.facing[cosines < 0.15] == 0).all()
+    assert shown.facing[cosines > 0.45].sum() > 0
+    turned = replace(still, global_orient=torch.tensor([[0.0, torch.pi, 0.0]]).expand(5, 3))
+    behind = model.shown_pixels(front, turned)
+    assert behind.facing[cosines < -0.5].sum() > 0
+    assert behind.facing[cosines > 0.2].sum() == 0
+
+
+def test_frames_that_a_surface_faces_are_told_apart_from_others(grey, still):
+    """She comes nearer with her back to the camera: of her front the frame before tells."""
+    model, front = grey
+    mixed = still.at([0] * 5)
+    mixed.global_orient[1, 1] = torch.pi
+    mixed.transl[1, 2] += 0.5
+    alone = model.shown_pixels(replace(front, train=(0,)), mixed)
+    both = model.shown_pixels(replace(front, train=(0, 1)), mixed)
+    ahead = facing_of(model, front) > 0.45
+    np.testing.assert_array_equal(both.facing[ahead], alone.facing[ahead])
+
+
+def test_the_camera_may_stand_anywhere(grey, still):
+    model, front = grey
+    quarter = torch.tensor([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    moved = replace(front.camera, viewmat=front.camera.viewmat @ quarter.T)
+    told = torch.ones(24, 24, 3)
+    rotations = torch.eye(3).expand(1, len(model.body.parents), 3, 3)
+    at_rest = model._shown(rotations, still.transl[:1], front.camera, told)
+    turned = rotations.clone()
+    turned[0, 0] = quarter[:3, :3]
+    pelvis = model.body.joints[0]
+    place = quarter[:3, :3] @ (still.transl[:1] + pelvis)[0] - pelvis
+    again = model._shown(turned, place[None], moved, told)
+    torch.testing.assert_close(again, at_rest, atol=1e-3, rtol=1e-3)
+
+
+def test_a_shirt_ends_behind_where_it_ends_before(grey, still, tiny_parameters):
+    model, front = grey
+    shown, _ = told_of(model, front, still)
+    trunk = torch.from_numpy(model._places().limbs == 0)
+    height = model.gaussians.means[:, 1].detach()
+    hem = height[trunk].median()
+    truth = torch.where((height > hem)[:, None], torch.tensor(RED), torch.tensor(BLUE))
+    known = shown >= 0.01
+    with torch.no_grad():
+        colors = torch.where(known[:, None], truth, torch.tensor(GREY))
+        model.gaussians.features[:] = colors.logit()
+    model.inpaint(fitting(tiny_parameters), front, still)
+    after = model.gaussians.features.detach().sigmoid()
+    asked = trunk & ~known & ((height - hem).abs() > 0.02)
+    assert asked.sum() > 20
+    torch.testing.assert_close(after[asked], truth[asked], atol=0.01, rtol=0)
 
 
 def test_of_many_frames_some_are_looked_at_first_and_last_among_them(grey, still, monkeypatch):
@@ -205,8 +300,54 @@ def test_of_many_frames_some_are_looked_at_first_and_last_among_them(grey, still
     monkeypatch.setattr(one_sided_avatar, "LOOKS", 2)
     moving = still.at([0] * 5)
     moving.transl[:, 0] += torch.arange(5) * 0.01
-    model.most_pixels(front, moving)  # whose last frame is set aside
+    pixels_of(model, front, moving)  # whose last frame is set aside
     assert seen == pytest.approx([seen[0], seen[0] + 0.03])
+
+
+def test_what_shows_more_tells_more_of_a_band(grey, still, tiny_parameters):
+    model, front = grey
+    known, facing = told_of(model, front, still)
+    places = model._places()
+    limb = torch.from_numpy(places.limbs == places.trunk)
+    sure = limb & (facing >= 0.01)
+    most = sure & (facing >= facing[sure].quantile(0.6))
+    assert facing[most].sum() > 1.2 * facing[sure & ~most].sum()
+    with torch.no_grad():
+        model.gaussians.features[:] = torch.tensor(BLUE).logit()
+        model.gaussians.features[most] = torch.tensor(RED).logit()
+    height = model.gaussians.means[:, 1].detach()
+    before = model.gaussians.features.detach().clone()
+    model.inpaint(fitting(tiny_parameters), front, still)
+    changed = (model.gaussians.features != before).any(1) & limb
+    middle = height[sure].median()
+    near = limb & (known < 0.01) & ((height - middle).abs() < 0.05)
+    assert near.sum() > 5
+    assert changed[near].float().mean() > 0.5  # there red shows more, by fewer
+
+
+def test_a_limb_that_shows_too_little_goes_on_in_colours_of_its_neighbours(
+    grey, still, tiny_parameters, monkeypatch
+):
+    model, front = grey
+    known, _ = told_of(model, front, still)
+    monkeypatch.setattr(limb_bands, "FEWEST", 10**6)
+    with torch.no_grad():
+        model.gaussians.features[known >= 0.01] = torch.tensor(RED).logit()
+    model.inpaint(fitting(tiny_parameters), front, still)
+    colors = model.gaussians.features.detach().sigmoid()
+    assert (colors - torch.tensor(RED)).abs().max() < 0.01
+
+
+def test_limbs_are_measured_in_the_canonical_pose(grey):
+    model, _ = grey
+    places, means = model._places(), model.gaussians.means.detach()
+    shin = torch.from_numpy(places.limbs == model.body.joint_names.index("left_knee"))
+    along = torch.from_numpy(places.along)[shin]
+    # Its legs are spread by 45 degrees: down and outwards alike.
+    slope = torch.tensor([1.0, -1.0, 0.0]) / 2**0.5
+    expected = means[shin] @ slope
+    assert torch.corrcoef(torch.stack([along, expected]))[0, 1] > 0.99
+    assert along.max() - along.min() > 0.3
 
 
 def test_what_goes_on_from_black_is_finite(grey, still, tiny_parameters):
@@ -218,12 +359,15 @@ def test_what_goes_on_from_black_is_finite(grey, still, tiny_parameters):
 
 
 @pytest.mark.parametrize(("least", "sure"), [(1e-9, 1e-9), (1e9, 1e9)])
-def test_where_all_or_nothing_is_known_colours_stay(grey, still, tiny_parameters, least, sure):
+def test_where_all_or_nothing_is_known_colours_stay(
+    grey, still, tiny_parameters, monkeypatch, least, sure
+):
     model, front = grey
+    monkeypatch.setattr(one_sided_avatar, "FACES", -1.1)  # the back of a head, too
     if least < 1e-3:  # so clear that each shows something
         with torch.no_grad():
             model.gaussians.opacity_logits.fill_(-3.0)
-        assert (model.most_pixels(front, still) > least).all()
+        assert (pixels_of(model, front, still) > least).all()
     before = model.gaussians.features.detach().clone()
     limits = fitting(tiny_parameters, least_pixels=least, sure_pixels=sure)
     model.inpaint(limits, front, still)

@@ -46,6 +46,25 @@ def test_one_gaussian_has_its_opacity_at_its_centre_and_falls_off_as_projected()
     assert float(found.alpha[0, 1, 2]) == pytest.approx(beside)
 
 
+@pytest.mark.parametrize("eps2d", [EPS2D, 0.05])
+def test_areas_are_what_pictures_of_one_gaussian_sum_up_to(eps2d):
+    means, opacities = torch.tensor([[[0.01, -0.02, 2.0]]], **F64), torch.tensor([0.9], **F64)
+    half = torch.tensor([[0.04, 0.0, 0.0], [0.02, 0.015, 0.0], [0.0, 0.01, 0.03]], **F64)
+    covars = (half @ half.mT)[None]
+    K = torch.tensor([[100.0, 0, 20], [0, 120.0, 20], [0, 0, 1]], **F64)
+    scene = means, covars, opacities
+    picture = rasterize(
+        *scene, torch.ones(1, 1, **F64), torch.eye(4, **F64), K, 40, 40, backend="reference",
+        eps2d=eps2d,
+    )  # fmt: skip
+    found = reference.project(*scene, torch.eye(4, **F64), K, 40, 40, eps2d).areas
+    # Beyond where it is fainter than MIN_ALPHA nothing is drawn.
+    drawn = 0.9 * float(found) * (1 - MIN_ALPHA / 0.9)
+    assert float(picture.alpha.sum()) == pytest.approx(drawn, rel=5e-3)
+    behind = reference.project(-means, *scene[1:], torch.eye(4, **F64), K, 40, 40, eps2d)
+    assert float(behind.areas) == 0
+
+
 def test_a_binned_picture_is_the_area_average_of_the_whole_one():
     def apart(eps2d):
         whole = seen_along_the_axis([2.0], [0.8], [[1.0]], size=40).image[0]
