@@ -6,7 +6,9 @@ Imports nothing that takes time, so that Ctrl-C is answered while torch is loade
 import os
 import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
 from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
@@ -49,6 +51,32 @@ def raise_again() -> None:
     """Let Ctrl-C raise KeyboardInterrupt again, after `leave_at_once`."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Keep Ctrl-C's KeyboardInterrupt until what is within is done; a second one ends the process.
+
+    For what cannot be broken off in the middle, and does not take long.
+    """
+    answered = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not answered or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came = False
+
+    def keep(*_: object) -> None:
+        nonlocal came
+        came = True
+        signal.signal(signal.SIGINT, _leave)
+
+    signal.signal(signal.SIGINT, keep)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if came:
+            raise KeyboardInterrupt
 
 
 def _leave(*_: object) -> None:

@@ -1,11 +1,20 @@
+import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from deblur_avatar.ending import STOPPED, STOPPED_WORDS, exit_code, leave_at_once, raise_again
+from deblur_avatar.ending import (
+    STOPPED,
+    STOPPED_WORDS,
+    exit_code,
+    leave_at_once,
+    raise_again,
+    uninterrupted,
+)
 from deblur_avatar.errors import ArtifactError, ConfigError, FittingError
 
 ROOT = Path(__file__).parents[1]
@@ -58,6 +67,64 @@ def test_interrupts_are_raised_again_once_all_is_loaded():
     assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     raise_again()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_waits_for_what_is_not_to_be_broken_off():
+    done = []
+
+    def work():
+        with uninterrupted():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_error_within_is_itself_and_interrupts_are_raised_as_before():
+    with pytest.raises(KeyError), uninterrupted():
+        raise KeyError
+    with uninterrupted():
+        pass
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_interrupt_does_not_wait():
+    program = (
+        "import os, signal; from deblur_avatar.ending import uninterrupted\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "with uninterrupted():\n"
+        "    os.kill(os.getpid(), signal.SIGINT); os.kill(os.getpid(), signal.SIGINT)\n"
+        "    os._exit(7)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], env={"PYTHONPATH": str(ROOT)}, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (STOPPED, STOPPED_WORDS)
+
+
+@pytest.mark.parametrize("answer", [signal.SIG_IGN, signal.SIG_DFL])
+def test_who_answers_interrupts_otherwise_goes_on_doing_so(answer):
+    signal.signal(signal.SIGINT, answer)
+    with uninterrupted():
+        assert signal.getsignal(signal.SIGINT) is answer
+    assert signal.getsignal(signal.SIGINT) is answer
+
+
+def test_other_threads_leave_interrupts_to_the_main_one():
+    found = []
+
+    def work():
+        with uninterrupted():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [signal.default_int_handler]
 
 
 def test_it_is_loaded_in_no_time():

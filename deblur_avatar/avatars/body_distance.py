@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from deblur_avatar.avatars.gaussians import sample_surface
+from deblur_avatar.geometry.nearest import nearest
 from deblur_avatar.rendering.mesh_rendering import cast_rays, face_normals
 
 # Not parameters: what is known of the body is as fine as this, whatever learns it.
@@ -68,8 +68,8 @@ def signed_distances(
 ) -> Float[Tensor, " P"]:
     """Distances from a mesh, to some millimetres: from the nearest of many points on it."""
     generator = torch.Generator().manual_seed(0)
-    tree = cKDTree(outer_surface(vertices, faces, SURFACE_SAMPLES, generator).cpu().numpy())
-    distance = torch.as_tensor(tree.query(points.detach().cpu().numpy())[0]).to(points)
+    surface = outer_surface(vertices, faces, SURFACE_SAMPLES, generator)
+    distance = nearest(points, surface).distances[:, 0].to(points)
     return torch.where(inside(points, vertices, faces), -distance, distance)
 
 

@@ -4,11 +4,11 @@ Conventions. What is optimised is unconstrained (`log_scales`, `opacity_logits`,
 is rendered is derived from it. Canonical space, metres, quaternions wxyz.
 """
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int64
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
+
+from deblur_avatar.geometry.nearest import nearest
 
 # Not parameters: 3DGS's first values (Kerbl et al. 2023), which fitting leaves in a few steps.
 FIRST_OPACITY = 0.1
@@ -106,13 +106,11 @@ def face_areas(vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"]) -> F
 
 def neighbour_indices(points: Float[Tensor, "N 3"], count: int) -> Int64[Tensor, "N K"]:
     """The `count` nearest other points of each point."""
-    positions = points.detach().cpu().double().numpy()
-    near = min(count + 1, len(positions))
-    _, index = cKDTree(positions).query(positions, k=[*range(1, near + 1)], workers=-1)
+    index = nearest(points, points, count + 1).indices
     # Clones lie in one place: a point need not come first among those nearest to it, or at all.
-    others = index != np.arange(len(positions))[:, None]
+    others = index != torch.arange(len(points), device=points.device)[:, None]
     others[others.all(1), -1] = False
-    return torch.as_tensor(index[others].reshape(len(points), -1), device=points.device)
+    return index[others].reshape(len(points), -1)
 
 
 def neighbour_distances(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "N K"]:

@@ -9,7 +9,6 @@ Source: GauHuman (Hu et al., CVPR 2024), whose edits follow one another on indic
 
 import torch
 from jaxtyping import Float, Int64
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from deblur_avatar.avatars.gaussian_edits import (
@@ -23,6 +22,7 @@ from deblur_avatar.avatars.gaussian_edits import (
 from deblur_avatar.avatars.gaussians import Gaussians, neighbour_indices
 from deblur_avatar.avatars.params import DensifyParams
 from deblur_avatar.config.section import Positive
+from deblur_avatar.geometry.nearest import nearest
 from deblur_avatar.geometry.rotations import quat_to_matrix
 
 # Not a parameter: GauHuman's.
@@ -140,8 +140,6 @@ def _without_strays(part: Part, params: KlDensifyParams, vertices: Tensor) -> Pa
 
 def _may_stay(part: Part, params: KlDensifyParams, vertices: Tensor) -> Tensor:
     """Which Gaussians are neither faint, nor huge, nor off the body."""
-    tree = cKDTree(vertices.cpu().numpy())
-    distance = torch.as_tensor(tree.query(part["means"].cpu().numpy())[0], device=vertices.device)
-    near = distance <= params.body_distance_m
+    near = nearest(part["means"], vertices).distances[:, 0] <= params.body_distance_m
     opaque = part["opacity_logits"].sigmoid() >= params.prune_opacity
     return near & opaque & (part["log_scales"].exp().amax(1) <= params.prune_scale_m)

@@ -104,16 +104,14 @@ def band_colors(
 
 
 def _axes(joints: Float[Tensor, "J 3"], body: Body) -> Float[Tensor, "J 3"]:
-    """Unit vectors along limbs: to the joints that follow, or as from the one before."""
+    """Unit vectors along limbs: to the joints that follow; 0 of hands and feet, parts of others."""
     axes = torch.zeros_like(joints)
-    for row, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
+    for row, name in enumerate(body.joint_names):
         next_ones = [child for child, one in enumerate(body.parents) if one == row]
         if name in UPRIGHT:
             axes[row, 1] = 1.0
         elif next_ones:
             axes[row] = joints[next_ones].mean(0) - joints[row]
-        else:
-            axes[row] = joints[row] - joints[parent]
     return torch.nn.functional.normalize(axes, dim=1)
 
 

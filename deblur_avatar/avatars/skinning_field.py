@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.avatars.networks import ConditionedMLP
 from deblur_avatar.avatars.params import Precision
+from deblur_avatar.geometry.nearest import nearest
 
 NEIGHBOURS = 4  # surface vertices that a point takes its weights from; blended by nearness
 
@@ -85,11 +85,8 @@ def surface_weights(
         vertices: the body's vertices in the same pose.
         body: whose weights they are.
     """
-    distance, index = cKDTree(vertices.cpu().numpy()).query(
-        points.detach().cpu().numpy(), k=min(NEIGHBOURS, len(vertices)), workers=-1
-    )
-    nearness = 1 / (torch.as_tensor(distance).to(points) + 1e-4)
-    nearness = nearness.reshape(len(points), -1) / nearness.reshape(len(points), -1).sum(1, True)
-    rows = torch.as_tensor(index).reshape(len(points), -1)
-    weights = body.lbs_weights[rows].to(points)
+    distance, index = nearest(points, vertices, NEIGHBOURS)
+    nearness = 1 / (distance.to(points) + 1e-4)
+    nearness = nearness / nearness.sum(1, True)
+    weights = body.lbs_weights[index.cpu()].to(points)
     return (nearness[..., None] * weights).sum(1)

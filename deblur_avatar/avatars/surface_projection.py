@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int64
-from scipy.spatial import cKDTree
 from torch import Tensor
+
+from deblur_avatar.geometry.nearest import nearest
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,8 @@ def closest_points(
     means: Float[Tensor, "N 3"], vertices: Float[Tensor, "V 3"], faces: Int64[Tensor, "T 3"]
 ) -> SurfaceProjection:
     """Look up the vertex nearest to each Gaussian."""
-    tree = cKDTree(vertices.cpu().numpy())
-    nearest = torch.as_tensor(tree.query(means.detach().cpu().numpy(), workers=-1)[1])
-    nearest = nearest.to(vertices.device)
-    return SurfaceProjection(vertices[nearest], vertex_normals(vertices, faces)[nearest])
+    index = nearest(means, vertices).indices[:, 0]
+    return SurfaceProjection(vertices[index], vertex_normals(vertices, faces)[index])
 
 
 def vertex_normals(

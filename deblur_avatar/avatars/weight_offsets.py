@@ -10,10 +10,10 @@ from itertools import pairwise
 
 import torch
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from deblur_avatar.avatars.frequency_encoding import frequency_encoding
+from deblur_avatar.geometry.nearest import nearest
 
 # Not a parameter: GauHuman's. Joints that a vertex does not follow stay all but out of reach.
 SMALLEST_WEIGHT = 1e-9
@@ -66,5 +66,4 @@ def nearest_weights(
     points: Float[Tensor, "N 3"], vertices: Float[Tensor, "V 3"], lbs_weights: Float[Tensor, "V J"]
 ) -> Float[Tensor, "N J"]:
     """Weights of the vertex that is nearest to each point."""
-    index = cKDTree(vertices.cpu().numpy()).query(points.detach().cpu().numpy())[1]
-    return lbs_weights.to(points)[torch.as_tensor(index, device=points.device)]
+    return lbs_weights.to(points)[nearest(points, vertices).indices[:, 0]]

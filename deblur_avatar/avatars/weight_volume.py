@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
+
+from deblur_avatar.geometry.nearest import nearest
 
 # Not parameters: GART's, which no experiment has turned. How fine the grid is, and how much it is
 # smoothed, are.
@@ -91,12 +92,10 @@ def base_weights(
     nodes: Float[Tensor, "D H W 3"],
 ) -> Float[Tensor, "J D H W"]:
     """Weights of the vertices nearest to each node, by their nearness; they sum to 1."""
-    distance, index = cKDTree(vertices.cpu().numpy()).query(
-        nodes.flatten(0, -2).cpu().numpy(), k=[*range(1, min(NEIGHBOURS, len(vertices)) + 1)]
-    )
-    nearness = 1 / torch.as_tensor(distance).to(vertices).clamp(NEAREST, FARTHEST)
+    distance, index = nearest(nodes.flatten(0, -2), vertices, NEIGHBOURS)
+    nearness = 1 / distance.to(vertices).clamp(NEAREST, FARTHEST)
     nearness = nearness / nearness.sum(1, keepdim=True)
-    near = lbs_weights.to(vertices)[torch.as_tensor(index, device=vertices.device)]
+    near = lbs_weights.to(vertices)[index.to(vertices.device)]
     weights = (nearness[..., None] * near).sum(1)
     return weights.T.unflatten(1, nodes.shape[:3]).contiguous()
 

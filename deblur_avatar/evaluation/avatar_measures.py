@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from deblur_avatar.animation.placement import framed_intrinsics
@@ -28,6 +27,7 @@ from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
 from deblur_avatar.evaluation.reblur import reblurred
 from deblur_avatar.geometry.cameras import Camera
+from deblur_avatar.geometry.nearest import nearest
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.overlap import soft_iou
@@ -136,8 +136,7 @@ def far_share(model: AvatarModel) -> float | None:
     if gaussians is None or not len(gaussians):
         return None
     means, opacities = gaussians.means.detach().cpu(), gaussians.opacities.detach().cpu()
-    tree = cKDTree(model.canonical_vertices.cpu().numpy())
-    distance = torch.as_tensor(tree.query(means.numpy())[0])
+    distance = nearest(means, model.canonical_vertices.cpu()).distances[:, 0]
     return float(opacities[distance > MARGIN].sum() / opacities.sum())
 
 

@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from deblur_avatar.avatars.kinds import avatar_from_artifact
@@ -24,6 +23,7 @@ from deblur_avatar.exports.posed_gaussians import canonical_colors
 from deblur_avatar.exports.shown_motion import MotionExport, ShownMotion, shown_motions
 from deblur_avatar.exports.upright import Upright, rest_pelvis, upright_of
 from deblur_avatar.files import write_bytes
+from deblur_avatar.geometry.nearest import nearest
 from deblur_avatar.geometry.rotations import continuous
 from deblur_avatar.imaging.color import srgb_to_linear
 
@@ -139,9 +139,8 @@ def _painted(run: FittedRun) -> Float[np.ndarray, "P 3"]:
     device = torch.device("cpu")
     model = avatar_from_artifact(run.avatar, run.observations.body, device)
     means, colors, opacities = canonical_colors(model, run.observations.camera.viewmat)
-    near = min(PAINTERS, len(means))
-    distance, index = cKDTree(means.numpy()).query(model.canonical_vertices.numpy(), k=near)
-    distance, index = distance.reshape(-1, near), index.reshape(-1, near)
+    painters = nearest(model.canonical_vertices, means, PAINTERS)
+    distance, index = (each.numpy() for each in painters)
     weight = opacities.numpy()[index] / (distance + 1e-3)
     weight /= weight.sum(1, keepdims=True)
     painted = (weight[..., None] * srgb_to_linear(colors).numpy()[index]).sum(1)

@@ -72,10 +72,10 @@ def own_colors(
             middle.
         light: as `LimbColors` has it.
     """
+    away = None if light is None else -light
 
     def even(index: int) -> list[UInt8[np.ndarray, "P 3"]]:
         pixels = [torch.from_numpy(_covered(frames[index], limb))[None] for limb in capsules[index]]
-        away = None if light is None else -light
         return [_in_light(limb, away, index)[0].numpy() for limb in pixels]
 
     colors = torch.full((capsules.shape[1], 3), torch.nan)
