@@ -281,13 +281,17 @@ class AvatarModel(nn.Module, ABC):
     def fill_untrained_latents(self, trained: Sequence[int]) -> None:
         """Give frames that were not trained on what belongs to one frame."""
 
-    def inpaint(self, fitting: Any, observations: Observations, centre: Poses) -> None:
-        """Give what no frame shows the looks of what frames show, of kinds that do, once fitted.
+    def inpaint(
+        self, fitting: Any, observations: Observations, centre: Poses, *, finished: bool
+    ) -> None:
+        """Give what no frame shows the looks of what frames show, of kinds that do.
 
         Args:
             fitting: of its class `Fitting`.
             observations: that it was fitted to.
             centre: poses at the middle of each frame.
+            finished: whether fitting is over. If not, what frames show too little of for a colour
+                to be sure gets those looks, too, to be fitted from there.
         """
 
     def invalidate_neighbours(self) -> None:

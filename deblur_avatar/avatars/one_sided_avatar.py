@@ -7,6 +7,10 @@ edge of what the camera sees lie Gaussians that a few pixels show, half coloured
 background's. So once the avatar is fitted, Gaussians whose light no frame shows take the colour
 that is well seen at the same place along the same limb (`limb_bands.py`).
 
+Once the avatar is warm, whatever shows only a little takes it, too, and is fitted on from there:
+from the grey that Gaussians begin with, a fit takes it only part of the way to its colour; from
+that of its limb it has not far to go.
+
 Where a limb shows too little, the penalty is brought to its minimum: total variation inpainting
 (Chan and Shen, "Nontexture inpainting by curvature-driven diffusions", JVCIR 2001) on the graph of
 nearest neighbours, by reweighted least squares (Daubechies et al., CPAM 2010). It ends where a
@@ -70,6 +74,7 @@ PASSES = 0.05  # share of its own light that arrives where a frame shows what tu
 FACES = 0.3  # cosine between a surface and the camera, from where on it faces that
 NEIGHBOURS = 8
 FAR = 1e-4  # weight of a neighbour however far it is, so that no Gaussian is alone
+ANEW = 0.3  # of the pixels that make sure: what shows fewer while fitting goes on begins anew
 SURE_SHARE = 0.2  # of all Gaussians show enough at least: of somebody small all show few pixels
 OWN = 1e-9  # of a Gaussian's own colour, where all that it is connected with is unseen
 ROUNDS = 12  # of reweighting; the first one's colours are harmonic
@@ -135,13 +140,26 @@ class OneSidedAvatar(PlainAvatar):
 
         return {**super().regularisers(rendering, step), "near_body": near_body}
 
-    def inpaint(self, fitting: OneSidedFitting, observations: Observations, centre: Poses) -> None:
-        """Fill in the colours of Gaussians that show too little of themselves in every frame."""
+    def inpaint(
+        self,
+        fitting: OneSidedFitting,
+        observations: Observations,
+        centre: Poses,
+        *,
+        finished: bool,
+    ) -> None:
+        """Fill in the colours of Gaussians that show too little of themselves in every frame.
+
+        While fitting goes on, those that show some, too, but not enough of a side that faces the
+        camera.
+        """
         shown, places = self.shown_pixels(observations, centre), self._places()
         few = np.quantile(shown.pixels, 1 - SURE_SHARE)  # of somebody small: all show few
         enough = max(min(fitting.sure_pixels, few), fitting.least_pixels)
         seen = np.where(places.behind, shown.facing, shown.pixels)
-        unknown, sure = seen < fitting.least_pixels, shown.facing >= enough
+        sure = shown.facing >= enough
+        begins_anew = max(ANEW * enough, fitting.least_pixels)
+        unknown = seen < fitting.least_pixels if finished else shown.facing < begins_anew
         if not unknown.any() or not sure.any():
             return
         features = self.gaussians.features

@@ -1,5 +1,6 @@
 """Fusion, the last stage of fitting: sharp and averaged renders blended by where the body moved."""
 
+import time
 from typing import Annotated, Any, Literal
 
 import torch
@@ -74,8 +75,9 @@ def fuse(
         schedule.trajectory + 1, schedule.fusion, params.supervision, params.mask, report, folder
     )
     refined = trajectory.to_artifact(model.betas, observations.timestamps)
-    cost = fit.cost(seconds)
-    model.inpaint(recipe.fitting, observations, refined.centre)
+    begin = time.perf_counter()
+    model.inpaint(recipe.fitting, observations, refined.centre, finished=True)
+    cost = fit.cost(seconds + time.perf_counter() - begin)
     return model.to_artifact(schedule.fusion), refined, cost
 
 

@@ -47,5 +47,7 @@ def warm_up(
         avatar.pretrain(generator)
     spent = time.perf_counter() - begin
     seconds = fit.run(1, schedule.warmup, "sharp", "mean", report, folder, spent)
-    cost = fit.cost(seconds)
+    begin = time.perf_counter()
+    avatar.inpaint(recipe.fitting, observations, observations.poses, finished=False)
+    cost = fit.cost(seconds + time.perf_counter() - begin)
     return avatar.to_artifact(schedule.warmup), fit.checkpoint(schedule.warmup), cost

@@ -131,7 +131,7 @@ def test_a_back_goes_on_in_the_colours_of_the_front(grey, still, tiny_parameters
     with torch.no_grad():
         model.gaussians.features[shown] = torch.tensor(RED).logit()
     before = model.gaussians.features.detach().clone()
-    model.inpaint(fitting(tiny_parameters), front, still)
+    model.inpaint(fitting(tiny_parameters), front, still, finished=True)
     after = model.gaussians.features.detach()
     assert torch.equal((after == before).all(-1), shown)
     assert (before[~shown].sigmoid() - torch.tensor(RED)).abs().max() > 0.3
@@ -148,29 +148,50 @@ def test_colours_at_the_edge_of_what_is_seen_stay_and_do_not_go_on(grey, still, 
     with torch.no_grad():
         model.gaussians.features[rim] = torch.tensor(BLUE).logit()
         model.gaussians.features[well] = torch.tensor(RED).logit()
-    model.inpaint(fitting(tiny_parameters, sure_pixels=sure), front, still)
+    model.inpaint(fitting(tiny_parameters, sure_pixels=sure), front, still, finished=True)
     after = model.gaussians.features.detach().sigmoid()
     assert (after[rim] - torch.tensor(BLUE)).abs().max() < 1e-6
     assert (after[~well & ~rim] - torch.tensor(RED)).abs().max() < 0.01
 
 
+def test_on_the_way_what_shows_too_little_begins_anew(grey, still, tiny_parameters):
+    model, front = grey
+    pixels, facing = told_of(model, front, still)
+    sure = float(pixels.quantile(0.79))
+    well, little = facing >= sure, facing < 0.3 * sure
+    assert (little & (pixels >= 0.01)).sum() > 100
+    assert (~little & ~well).sum() > 20
+    with torch.no_grad():
+        model.gaussians.features[~well] = torch.tensor(BLUE).logit()
+        model.gaussians.features[well] = torch.tensor(RED).logit()
+    before = model.gaussians.features.detach().clone()
+    model.inpaint(fitting(tiny_parameters, sure_pixels=sure), front, still, finished=False)
+    after = model.gaussians.features.detach()
+    assert torch.equal(after[~little], before[~little])
+    assert (after[little].sigmoid() - torch.tensor(RED)).abs().max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("finished", "limit", "unknown"), [(True, 0.1, 0.1), (False, 0.1, 0.24), (False, 0.4, 0.4)]
+)
 @pytest.mark.parametrize("pixels", [1e-3, 1.0])
 def test_of_somebody_small_those_go_on_that_show_most(
-    grey, still, tiny_parameters, monkeypatch, pixels
+    grey, still, tiny_parameters, monkeypatch, pixels, finished, limit, unknown
 ):
     model, front = grey
     count = len(model.gaussians)
     shown = pixels * torch.arange(count) / count
     monkeypatch.setattr(type(model), "shown_pixels", lambda *_: Shown(shown.numpy(), shown.numpy()))
-    most, least = shown >= 0.805 * pixels, shown < 0.1 * pixels
+    most = shown >= 0.805 * pixels
+    least, more = shown < 0.99 * unknown * pixels, shown >= 1.01 * unknown * pixels
     with torch.no_grad():
         model.gaussians.features[:] = torch.tensor(BLUE).logit()
         model.gaussians.features[most] = torch.tensor(RED).logit()
-    limits = {"least_pixels": 0.1 * pixels, "sure_pixels": 1e4 * pixels}
-    model.inpaint(fitting(tiny_parameters, **limits), front, still)
+    limits = {"least_pixels": limit * pixels, "sure_pixels": 1e4 * pixels}
+    model.inpaint(fitting(tiny_parameters, **limits), front, still, finished=finished)
     after = model.gaussians.features.detach().sigmoid()
     assert (after[least] - torch.tensor(RED)).abs().max() < 0.01
-    assert (after[~least & ~most] - torch.tensor(BLUE)).abs().max() < 1e-6
+    assert (after[more & ~most] - torch.tensor(BLUE)).abs().max() < 1e-6
 
 
 def rendered(model, front, still):
@@ -281,7 +302,7 @@ def test_a_shirt_ends_behind_where_it_ends_before(grey, still, tiny_parameters):
     with torch.no_grad():
         colors = torch.where(known[:, None], truth, torch.tensor(GREY))
         model.gaussians.features[:] = colors.logit()
-    model.inpaint(fitting(tiny_parameters), front, still)
+    model.inpaint(fitting(tiny_parameters), front, still, finished=True)
     after = model.gaussians.features.detach().sigmoid()
     asked = trunk & ~known & ((height - hem).abs() > 0.02)
     assert asked.sum() > 20
@@ -317,7 +338,7 @@ def test_what_shows_more_tells_more_of_a_band(grey, still, tiny_parameters):
         model.gaussians.features[most] = torch.tensor(RED).logit()
     height = model.gaussians.means[:, 1].detach()
     before = model.gaussians.features.detach().clone()
-    model.inpaint(fitting(tiny_parameters), front, still)
+    model.inpaint(fitting(tiny_parameters), front, still, finished=True)
     changed = (model.gaussians.features != before).any(1) & limb
     middle = height[sure].median()
     near = limb & (known < 0.01) & ((height - middle).abs() < 0.05)
@@ -333,7 +354,7 @@ def test_a_limb_that_shows_too_little_goes_on_in_colours_of_its_neighbours(
     monkeypatch.setattr(limb_bands, "FEWEST", 10**6)
     with torch.no_grad():
         model.gaussians.features[known >= 0.01] = torch.tensor(RED).logit()
-    model.inpaint(fitting(tiny_parameters), front, still)
+    model.inpaint(fitting(tiny_parameters), front, still, finished=True)
     colors = model.gaussians.features.detach().sigmoid()
     assert (colors - torch.tensor(RED)).abs().max() < 0.01
 
@@ -354,7 +375,7 @@ def test_what_goes_on_from_black_is_finite(grey, still, tiny_parameters):
     model, front = grey
     with torch.no_grad():
         model.gaussians.features.fill_(-200.0)  # whose sigmoid is 0
-    model.inpaint(fitting(tiny_parameters), front, still)
+    model.inpaint(fitting(tiny_parameters), front, still, finished=True)
     assert model.gaussians.features.isfinite().all()
 
 
@@ -370,7 +391,7 @@ def test_where_all_or_nothing_is_known_colours_stay(
         assert (pixels_of(model, front, still) > least).all()
     before = model.gaussians.features.detach().clone()
     limits = fitting(tiny_parameters, least_pixels=least, sure_pixels=sure)
-    model.inpaint(limits, front, still)
+    model.inpaint(limits, front, still, finished=True)
     assert torch.equal(model.gaussians.features, before)
 
 

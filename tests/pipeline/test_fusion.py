@@ -1,6 +1,9 @@
+from types import SimpleNamespace
+
 import pytest
 import torch
 
+from deblur_avatar.avatars.networks_avatar import NetworksAvatar
 from deblur_avatar.config.reading import parse
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.pipeline.fusion import FusionParams, fuse
@@ -98,3 +101,21 @@ def test_there_is_a_fusion_network_if_and_only_if_renders_are_fused(tiny_content
 def test_an_avatar_without_a_pose_code_is_fused_by_what_is_seen(fused, plain_recipe):
     _, (avatar, _, _) = fused(params=plain_recipe)
     assert avatar.means.isfinite().all()
+
+
+def test_colours_are_filled_in_once_warm_and_once_finished(fused, monkeypatch):
+    asked = []
+
+    def inpaint(self, fitting, seen, centre, *, finished):
+        asked.append(finished)
+        with torch.no_grad():
+            self.gaussians.features.fill_(0.25)
+
+    monkeypatch.setattr(NetworksAvatar, "inpaint", inpaint)
+    clock = iter([0.0, 1000.0])
+    watch = SimpleNamespace(perf_counter=lambda: next(clock))
+    monkeypatch.setattr("deblur_avatar.pipeline.fusion.time", watch)
+    _, (avatar, _, cost) = fused()
+    assert 1000 < cost["seconds"] < 1060
+    assert asked == [False, True]
+    assert (avatar.features == 0.25).all()

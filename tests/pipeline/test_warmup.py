@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 import torch
 
@@ -91,3 +93,22 @@ def test_pretraining_can_be_left_out(warm, recipe):
         with_it.networks["skinning.network.last.weight"],
         without.networks["skinning.network.last.weight"],
     )
+
+
+def test_what_is_seen_too_little_begins_anew_once_warm(warm, recipe, observations, monkeypatch):
+    asked = []
+
+    def inpaint(self, fitting, seen, centre, *, finished):
+        asked.append((fitting is recipe.fitting, seen is observations, finished))
+        torch.testing.assert_close(centre.transl, observations.poses.transl)
+        with torch.no_grad():
+            self.gaussians.features.fill_(0.25)
+
+    monkeypatch.setattr(NetworksAvatar, "inpaint", inpaint)
+    clock = iter([0.0, 0.0, 0.0, 1000.0])  # before fitting, twice, and before and after this
+    watch = SimpleNamespace(perf_counter=lambda: next(clock))
+    monkeypatch.setattr("deblur_avatar.pipeline.warmup.time", watch)
+    avatar, _, cost = warm()
+    assert 1000 < cost["seconds"] < 1060
+    assert asked == [(True, True, False)]
+    assert (avatar.features == 0.25).all()
