@@ -54,6 +54,27 @@ def fur_share(looks: Sequence[Look]) -> float | None:
     return beyond / total if total else None
 
 
+def clothes_share(
+    observations: Observations, looks: Sequence[Look], positions: Sequence[int]
+) -> float:
+    """Share of the masks' light beyond what most clothes reach: how wide this person's are.
+
+    Of frames that show the body.
+
+    Args:
+        observations: of which some frames are looked at.
+        looks: at those frames.
+        positions: theirs.
+    """
+    total = beyond = 0.0
+    for position, look in zip(positions, looks, strict=True):
+        if np.isfinite(look.distance).all():
+            matte = observations.mattes[position].float()
+            total += float(matte.sum())
+            beyond += float(matte[torch.from_numpy(look.distance > CLOTHES)].sum())
+    return beyond / total if total else 0.0
+
+
 def _holes_share(looks: Sequence[Look]) -> float | None:
     insides = [binary_erosion(look.distance == 0, iterations=RIM) for look in looks]
     area = sum(int(inside.sum()) for inside in insides)

@@ -1,9 +1,13 @@
 """Tests of surface quality: each statistic knows what it is named after."""
 
+import dataclasses
+
+import numpy as np
 import pytest
 import torch
 
-from deblur_avatar.evaluation.surface_quality import CLOTHES, surface_quality
+from deblur_avatar.evaluation.avatar_measures import Look
+from deblur_avatar.evaluation.surface_quality import CLOTHES, clothes_share, surface_quality
 
 
 def test_an_avatar_on_its_body_has_no_fur_few_holes_and_no_needles(avatar, filmed, motion):
@@ -45,3 +49,20 @@ def test_an_avatar_that_covers_nothing_has_no_share(avatar, filmed, motion):
     found = surface_quality(avatar, filmed, motion)
     assert found["fur_share"] is None
     assert found["holes_share"] == pytest.approx(1)
+
+
+def test_clothes_are_what_masks_show_beyond_the_reach_of_most(filmed):
+    height, width = filmed.mattes.shape[1:]
+    mattes = torch.zeros_like(filmed.mattes)
+    mattes[0, :, :4], mattes[2, :, :4] = 255, 51
+    distance = np.zeros((height, width))
+    distance[:, :1] = 1.01 * CLOTHES
+    distance[:, 1] = CLOTHES
+    looks = [Look(torch.zeros(height, width, 3), torch.zeros(height, width), distance)] * 2
+    dressed = dataclasses.replace(filmed, mattes=mattes)
+    assert clothes_share(dressed, looks, [0, 2]) == pytest.approx(0.25)
+    looks = [looks[0], dataclasses.replace(looks[0], distance=np.zeros((height, width)))]
+    assert clothes_share(dressed, looks, [0, 2]) == pytest.approx(0.25 / 1.2)
+    assert clothes_share(dressed, looks, [1, 3]) == 0
+    lost = dataclasses.replace(looks[0], distance=np.full((height, width), np.inf))
+    assert clothes_share(dressed, [lost, looks[0]], [0, 2]) == pytest.approx(0.25)

@@ -4,6 +4,7 @@ import json
 import pytest
 import torch
 
+from deblur_avatar.pipeline import self_check as checking
 from deblur_avatar.pipeline.self_check import self_check
 from deblur_avatar.reporting.self_check_pictures import draw_self_check, self_check_page
 from tests.embedded_pictures import without_pictures
@@ -45,6 +46,44 @@ def test_a_haze_nearer_than_surroundings_is_told_apart_from_clothes(
         avatar.gaussians.means[::2] += off * avatar.gaussians.means[::2].sin().sign()
     content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
     assert content["findings"]["fur_share"]["verdict"] == verdict
+
+
+@pytest.mark.parametrize(("reach", "verdict"), [(0, "fail"), (2, "warn")])
+def test_clothes_as_wide_in_masks_as_from_all_sides_only_warn(
+    filmed, avatar, motion, reach, verdict
+):
+    with torch.no_grad():
+        avatar.gaussians.means[::2] += 0.11 * avatar.gaussians.means[::2].sin().sign()
+    wide = torch.nn.functional.max_pool2d(
+        filmed.mattes[:, None].float(), 2 * reach + 1, stride=1, padding=reach
+    )
+    dressed = dataclasses.replace(filmed, mattes=wide[:, 0].to(torch.uint8))
+    content = self_check(dressed, avatar.to_artifact(1), motion, CPU).content
+    found = content["findings"]["fur_share"]
+    assert found["verdict"] == verdict
+    assert ("Masks show as much" in found["advice"]) == (verdict == "warn")
+
+
+@pytest.mark.parametrize(
+    ("fur", "clothes", "verdict"),
+    [(0.25, 0.20, "warn"), (0.25, 0.18, "fail"), (0.10, 0.10, "warn"), (0.05, 0.0, "ok")],
+)
+def test_fur_beyond_wide_clothes_is_held_to_what_is_ok(
+    filmed, avatar, motion, monkeypatch, fur, clothes, verdict
+):
+    asked = []
+
+    def clothes_share(observations, looks, positions):
+        asked.append((observations is filmed, len(looks), positions))
+        return clothes
+
+    monkeypatch.setattr(checking, "fur_share", lambda _: fur)
+    monkeypatch.setattr(checking, "clothes_share", clothes_share)
+    content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
+    found = content["findings"]["fur_share"]
+    assert found["verdict"] == verdict
+    assert ("Masks show as much" in found["advice"]) == (fur > 0.15 and verdict == "warn")
+    assert asked == [(True, len(filmed.train), list(filmed.train))]
 
 
 def test_a_body_of_another_place_fails(filmed, avatar, motion):
