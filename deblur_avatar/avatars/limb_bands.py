@@ -3,7 +3,8 @@
 Sleeves, trousers, shoes and skin go round a limb, and end at a place along it. So what no frame
 shows most likely has the colour that is seen at the same place along the same limb. That is a
 median, so that a print is no colour of a back, while the hem of a shirt stays where it is. Of the
-head, whose front is a face, the scalp is one: hair, a cap or skin, wherever some of it is seen.
+head, whose front is a face, the scalp is one: hair, a cap or skin, wherever some of it is seen. An
+arm or leg that is hidden has the colours of the other one.
 
 Conventions. Canonical pose, metres, +Y up, facing +Z. N Gaussians, J joints, V vertices.
 """
@@ -31,6 +32,7 @@ EARS = 0.5  # of the box's depth: what is farther back is behind them
 STEP = 0.01  # metres between places for which a colour is found
 ALONG, ALONG_TRUNK = 0.05, 0.08  # metres to either side that tell: the trunk's prints are larger
 FEWEST = 8  # Gaussians that tell a colour
+HIDDEN = 0.2  # of what the other side's limb tells, below which a limb is hidden
 
 
 class LimbPlaces(NamedTuple):
@@ -40,6 +42,7 @@ class LimbPlaces(NamedTuple):
     along: Float[np.ndarray, " N"]  # metres along the limb; 0 all over the scalp
     behind: Bool[np.ndarray, " N"]  # scalp behind the ears
     trunk: int  # its row
+    mirrored: tuple[int, ...]  # of each row, that of the limb on the other side, or its own
 
 
 def limb_places(
@@ -72,6 +75,7 @@ def limb_places(
         torch.where(scalp, 0.0, along).numpy(),
         (scalp & (depth < EARS)).numpy(),
         names.index("pelvis"),
+        (*(names.index(_other_side(name)) for name in names), len(names)),
     )
 
 
@@ -86,13 +90,17 @@ def band_colors(
         places: where the Gaussians are.
 
     Returns:
-        NaN on limbs of which fewer than `FEWEST` Gaussians tell a colour.
+        On a limb that is hidden, against the other side's, those of both; NaN where fewer than
+        `FEWEST` Gaussians tell a colour.
     """
     found = np.full(colors.shape, np.nan)
     steps = np.round(places.along / STEP).astype(int)
     for limb in np.unique(places.limbs):
         here = np.flatnonzero(places.limbs == limb)
         known = here[told[here] > 0]
+        other = np.flatnonzero((places.limbs == places.mirrored[limb]) & (told > 0))
+        if told[known].sum() < HIDDEN * told[other].sum():
+            known = np.union1d(known, other)
         if len(known) < FEWEST:
             continue
         for step in np.unique(steps[here]):
@@ -101,6 +109,12 @@ def band_colors(
             near = known[away <= max(reach, np.partition(away, FEWEST - 1)[FEWEST - 1])]
             found[here[steps[here] == step]] = _median(colors[near], told[near])
     return found
+
+
+def _other_side(name: str) -> str:
+    """The joint on a body's other side; in its middle, the same."""
+    side, _, rest = name.partition("_")
+    return {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, name)
 
 
 def _axes(joints: Float[Tensor, "J 3"], body: Body) -> Float[Tensor, "J 3"]:

@@ -11,10 +11,10 @@ Once the avatar is warm, whatever shows only a little takes it, too, and is fitt
 from the grey that Gaussians begin with, a fit takes it only part of the way to its colour; from
 that of its limb it has not far to go.
 
-Where a limb shows too little, the penalty is brought to its minimum: total variation inpainting
-(Chan and Shen, "Nontexture inpainting by curvature-driven diffusions", JVCIR 2001) on the graph of
-nearest neighbours, by reweighted least squares (Daubechies et al., CPAM 2010). It ends where a
-shirt ends, which a mean would not.
+Where limbs of both sides show too little, the penalty is brought to its minimum: total variation
+inpainting (Chan and Shen, "Nontexture inpainting by curvature-driven diffusions", JVCIR 2001) on
+the graph of nearest neighbours, by reweighted least squares (Daubechies et al., CPAM 2010). It ends
+where a shirt ends, which a mean would not.
 
 What a frame shows. Fronts let a hundredth of the light behind them through, and from a hundred
 pixels a back that nobody sees gathers a pixel's worth. So a frame counts for what turns away where

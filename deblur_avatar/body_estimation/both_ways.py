@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import permutations
 from math import inf, isnan
 from statistics import fmean, median
+from typing import NamedTuple
 
 import torch
 
@@ -32,6 +33,7 @@ STAYS = 0.5  # of another's way across the picture, at most, is the way of who s
 Shown = tuple[Look, ...]  # people in one frame: one, or two, found forth and back
 Stretch = dict[int, Shown]  # frames that show the same people
 Seen = dict[int, Look]  # a person, by frame
+Costs = Sequence[Sequence[float]]  # of each look of a stretch being each person's
 
 
 def backward(track: Landmarks) -> Landmarks:
@@ -91,7 +93,7 @@ def _stretches(pairs: Sequence[tuple[Look | None, Look | None]]) -> list[Stretch
             continue
         before = stretches[-1][last] if stretches else ()
         goes_on = index - last < GAP + 1 and len(before) == len(looks)
-        if not goes_on or any(a.jumps_to(b) for a, b in zip(before, looks, strict=True)):
+        if not goes_on or any(a.jumps_to(b, 1) for a, b in zip(before, looks, strict=True)):
             stretches.append({})
         stretches[-1][index] = looks
         last = index
@@ -104,7 +106,7 @@ def _shown(here: Look | None, there: Look | None) -> Shown:
         return tuple(look for look in (here, there) if look is not None)
     if _shared(here, there) <= APART:
         return here, there
-    return () if here.jumps_to(there) else (here,)
+    return () if here.jumps_to(there, 1) else (here,)
 
 
 def _shared(here: Look, there: Look) -> float:
@@ -153,9 +155,10 @@ def _people(stretches: Sequence[Stretch], surest: int, known: Sequence[list[Look
     for way, numbers in ((1, range(surest + 1, len(stretches))), (-1, range(surest - 1, -1, -1))):
         farthest = max if way > 0 else min
         for part in map(stretches.__getitem__, numbers):
-            nearest = part[min(part) if way > 0 else max(part)]
-            last = [seen[farthest(seen)] for seen in people]
-            for who, track in zip(_order(part, nearest, worn, last), _tracks(part), strict=False):
+            begin = min(part) if way > 0 else max(part)
+            last = [_Last(abs(begin - (at := farthest(seen))), seen[at]) for seen in people]
+            order = _order(part, part[begin], worn, last)
+            for who, track in zip(order, _tracks(part), strict=False):
                 if who == len(people):
                     people.append({})
                     worn.append(track)
@@ -163,58 +166,144 @@ def _people(stretches: Sequence[Stretch], surest: int, known: Sequence[list[Look
     return [dict(sorted(seen.items())) for seen in people]
 
 
+class _Last(NamedTuple):
+    """Where a person was last seen, and how many frames ago."""
+
+    ago: int
+    look: Look
+
+    def may_be(self, here: Look) -> bool:
+        """Whether she can have come there since."""
+        return not self.look.jumps_to(here, self.ago)
+
+    def way(self, here: Look) -> float:
+        """How far she has come if she is there, in sizes of who is there."""
+        return float((self.look.centre - here.centre).norm()) / here.size
+
+
 def _order(
-    part: Stretch, nearest: Shown, worn: Sequence[Sequence[Look]], last: Sequence[Look]
+    part: Stretch, nearest: Shown, worn: Sequence[Sequence[Look]], last: Sequence[_Last]
 ) -> tuple[int, ...]:
     """Whom a stretch shows: numbers of people, the next free one for somebody new.
 
-    By their places where all were far apart and nobody has moved; else by their colours, which
-    light may change; and if these do not tell by places that are less clear. Where they do not
-    either, colours that nobody has worn are somebody new's. Nobody if nothing tells.
+    Nobody jumps into another's place or clothes, where colours of all compare. What that leaves is
+    told by places, where all were far apart and nobody has moved, which must be ahead of orders
+    that jumps rule out, too; else by colours, which light may change; else by places that are less
+    clear; else by both, each where it tells. Colours that nobody has worn are somebody new's.
+    Nobody if nothing tells.
 
     Args:
         part: the stretch.
         nearest: its looks beside where all were last seen.
         worn: people, in frames that show them for sure.
-        last: their looks where they were last seen.
+        last: where they were last seen.
     """
-    orders = list(permutations(range(len(last)), len(nearest)))
-    ways = [
-        fmean(float((look.centre - last[who].centre).norm()) / look.size
-              for who, look in zip(order, nearest, strict=True))
-        for order in orders
-    ]  # fmt: skip
-    by_place, way, ahead = _best(orders, ways)
-    if way <= STILL and ahead >= FAR:
-        return by_place
-    by_colors = _by_colors(part, orders, worn)
-    if by_colors:
-        return by_colors
-    if way <= WITHIN and ahead >= BESIDE:
-        return by_place
-    return _by_colors(part, _with_new(orders, len(worn)), worn) if len(part) >= RUN else ()
+    colors = _color_costs(part, worn)
+    far = _too_far(nearest, last, colors) if colors else [set[int]()] * len(nearest)
+
+    def is_steady(order: Sequence[int]) -> bool:
+        return not any(who in others for who, others in zip(order, far, strict=True))
+
+    everyone = list(permutations(range(len(last)), len(nearest)))
+    orders = list(filter(is_steady, everyone))
+    if orders:
+        ways = [[seen.way(here) for seen in last] for here in nearest]
+        by_place, way, ahead = _best(orders, ways, everyone)
+        if way <= STILL and ahead >= FAR:
+            return by_place
+        by_colors = _named(orders, colors)
+        if by_colors:
+            return by_colors
+        if way <= WITHIN and ahead >= BESIDE:
+            return by_place
+        by_both = _by_both(orders, ways, colors)
+        if by_both:
+            return by_both
+    new = list(filter(is_steady, _with_new(everyone, len(worn))))
+    return _named(new, colors) if new and len(part) >= RUN else ()
+
+
+def _too_far(nearest: Shown, last: Sequence[_Last], colors: Costs) -> list[set[int]]:
+    """Who a look is not: they would have jumped there, into other clothes or another's place.
+
+    Another's place it is if she came there without a jump, nearer to it than to any other look, in
+    colours that are hers as much as anybody's: a track that slides over to another person does not
+    jump, either. Nobody new is there then.
+    """
+    found = []
+    for here, costs in zip(nearest, colors, strict=True):
+        near = {who for who, seen in enumerate(last) if seen.may_be(here)}
+        taken = any(
+            costs[who] <= UNLIKE
+            and costs[who] - min(costs) < NEARER
+            and last[who].way(here) == min(map(last[who].way, nearest))
+            for who in near
+        )
+        others = set(range(len(costs))) - near
+        found.append({who for who in others if taken or costs[who] > UNLIKE})
+    return found
+
+
+def _color_costs(part: Stretch, worn: Sequence[Sequence[Look]]) -> Costs | None:
+    """Of each look and person, and in the last column of somebody new; None: not all compare."""
+    apart = [[_differences(track, wearing) for wearing in worn] for track in _tracks(part)]
+    if not all(found for row in apart for found in row):
+        return None
+    return [[*map(fmean, row), UNLIKE] for row in apart]
+
+
+def _named(orders: Sequence[tuple[int, ...]], colors: Costs | None) -> tuple[int, ...]:
+    """Whom colours name, clearly and with all in their own; nobody if they do not."""
+    if colors is None:
+        return ()
+    order, _, ahead = _best(orders, colors, orders)
+    return order if ahead >= NEARER and _in_their_own(order, colors) else ()
+
+
+def _by_both(
+    orders: Sequence[tuple[int, ...]], ways: Costs, colors: Costs | None
+) -> tuple[int, ...]:
+    """Whom colours name best, and against any other order either they or places name clearly."""
+    if colors is None:
+        return ()
+    best, _, _ = _best(orders, colors, orders)
+    ahead = (
+        _ahead(best, other, colors) >= NEARER or _ahead(best, other, ways) >= BESIDE
+        for other in orders if other != best
+    )  # fmt: skip
+    return best if _in_their_own(best, colors) and all(ahead) else ()
+
+
+def _in_their_own(order: Sequence[int], colors: Costs) -> bool:
+    """Whether all wear what may be theirs."""
+    return all(row[who] <= UNLIKE for row, who in zip(colors, order, strict=True))
 
 
 def _best(
-    orders: Sequence[tuple[int, ...]], costs: Sequence[float]
+    orders: Sequence[tuple[int, ...]], costs: Costs, among: Sequence[tuple[int, ...]]
 ) -> tuple[tuple[int, ...], float, float]:
-    """The order that costs least, what it costs, and how much more the next one costs."""
-    best, *others = sorted(range(len(orders)), key=costs.__getitem__)
-    return orders[best], costs[best], costs[others[0]] - costs[best] if others else inf
+    """The order that costs least, its costs on average, and how far it is ahead of the next one.
+
+    Args:
+        orders: to choose from.
+        costs: of each look being each person's.
+        among: what it is compared with.
+    """
+
+    def cost(order: Sequence[int]) -> float:
+        return fmean(row[who] for row, who in zip(costs, order, strict=True))
+
+    best = min(orders, key=cost)
+    others = (_ahead(best, other, costs) for other in among if other != best)
+    return best, cost(best), min(others, default=inf)
 
 
-def _by_colors(
-    part: Stretch, orders: Sequence[tuple[int, ...]], worn: Sequence[Sequence[Look]]
-) -> tuple[int, ...]:
-    """Whom colours name, clearly and with all in their own; nobody if they do not."""
-    apart = [[_differences(track, wearing) for wearing in worn] for track in _tracks(part)]
-    if not all(found for row in apart for found in row):
-        return ()
-    table = [[*map(fmean, row), UNLIKE] for row in apart]  # of somebody new in the last column
-    costs = [[row[who] for row, who in zip(table, order, strict=True)] for order in orders]
-    order, _, ahead = _best(orders, list(map(fmean, costs)))
-    named = ahead >= NEARER and max(costs[orders.index(order)]) <= UNLIKE
-    return order if named else ()
+def _ahead(order: Sequence[int], other: Sequence[int], costs: Costs) -> float:
+    """How much more another order costs, on average over the looks on which the two differ."""
+    return fmean(
+        row[theirs] - row[who]
+        for row, who, theirs in zip(costs, order, other, strict=True) if who != theirs
+    )  # fmt: skip
 
 
 def _with_new(orders: Sequence[tuple[int, ...]], new: int) -> list[tuple[int, ...]]:

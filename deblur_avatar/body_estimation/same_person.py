@@ -64,13 +64,13 @@ class Look:
         larger, smaller = max(self.size, other.size), min(self.size, other.size)
         return way <= (REACH + DRIFT * missed) * self.size and larger <= RESIZED * smaller
 
-    def jumps_to(self, other: "Look") -> bool:
-        """Whether landmarks move farther to the next frame than people do."""
+    def jumps_to(self, other: "Look", frames: int) -> bool:
+        """Whether landmarks move farther in so many frames than people do."""
         here, there = self.sighting, other.sighting
         sure = (here.visibility >= SURE) & (there.visibility >= SURE)
         ways = (here.points - there.points).norm(dim=1)
         way = (ways[sure] if sure.sum() >= FEW else ways).quantile(0.75)
-        return float(way) > JUMP * max(self.size, other.size)
+        return float(way) > frames * JUMP * max(self.size, other.size)
 
     def is_unlike(self, known: Iterable["Look"]) -> bool:
         """Whether colours are none that she was surely seen in: most places differ from all."""
@@ -120,7 +120,7 @@ def is_same(look: Look, known: Sequence[Look], missed: int) -> bool:
 
 def is_another(look: Look, known: Sequence[Look]) -> bool:
     """Whether a look is of somebody else than these: in other clothes, after a jump."""
-    return known[-1].jumps_to(look) and look.is_unlike(known)
+    return known[-1].jumps_to(look, 1) and look.is_unlike(known)
 
 
 def is_one(looks: Iterable[Look | None]) -> bool:

@@ -17,7 +17,11 @@ WINDOW = 2  # frames on either side whose change a cut's stands out of
 FEW = 2 * WINDOW + 2
 DETAIL = 3.0  # standard deviation in pixels at `HEIGHT` rows, below which a picture is detail
 FAINT = 4.0  # of 255 levels: weaker detail is noise
-SAME_PLACE = 0.3  # correlation of detail; other places have 0.0, a camera that is shaken 0.4
+# Correlation of detail: other places have 0.0, or 0.36 with one caption over both, a camera that is
+# shaken 0.4. Of the median part: 0.15 behind one caption, 0.24 where a camera is shaken.
+SAME_PLACE, SAME_PARTS = 0.3, 0.2
+PART = 12  # pixels of a small picture, a part's side
+BARE = 0.75  # of the picture's mean detail, below which a part has hardly any to compare
 
 
 def shot_starts(frames: UInt8[Tensor, "F H W 3"]) -> list[int]:
@@ -28,25 +32,45 @@ def shot_starts(frames: UInt8[Tensor, "F H W 3"]) -> list[int]:
     A flash, after which all is as before, is none either, and no change of light is: a lamp that
     is switched on, a sun that someone steps in front of. Dissolves, cuts that leave the camera in
     its place or change little of the picture, and one of two cuts within two frames may not be
-    found; of fewer frames than `FEW` nothing is said.
+    found; of fewer frames than `FEW` nothing is said. (What goes through one colour is a fade,
+    `fades.py`.)
     """
     if len(frames) < FEW:
         return [0]
-    step = max(1, frames.shape[1] // HEIGHT)
-    small = frames[:, ::step, ::step].flip(-1).numpy()  # the detector takes blue first
+    small = small_pictures(frames)
     cuts = _cuts(small)
     brief = [(a, b) for a, b in pairwise(cuts) if b - a <= WINDOW]
     inside = {index for span in brief for index in range(*span)}
     steady = [index for index in range(len(small)) if index not in inside]
     apart = {steady[index] for index in _cuts(small[steady])}
     flashes = {edge for a, b in brief if b not in apart for edge in (a, b)}
-    elsewhere = (index for index in cuts if not _same_place(small[index - 1], small[index]))
+    elsewhere = (index for index in cuts if not same_place(small[index - 1], small[index]))
     return [0, *(index for index in elsewhere if index not in flashes)]
 
 
-def _same_place(before: UInt8[np.ndarray, "H W 3"], after: UInt8[np.ndarray, "H W 3"]) -> bool:
-    """Whether two pictures have the same detail, whatever the light."""
-    return float((_detail(before) * _detail(after)).sum()) >= SAME_PLACE
+def small_pictures(frames: UInt8[Tensor, "F H W 3"]) -> UInt8[np.ndarray, "F h w 3"]:
+    """Frames, of more than `HEIGHT` rows every n-th, blue first, as the detector takes them."""
+    step = max(1, frames.shape[1] // HEIGHT)
+    return frames[:, ::step, ::step].flip(-1).numpy()
+
+
+def same_place(before: UInt8[np.ndarray, "H W 3"], after: UInt8[np.ndarray, "H W 3"]) -> bool:
+    """Whether two small pictures have the same detail in any light.
+
+    As a whole, and in most of the parts that have detail: captions and marks that an editor laid
+    over several recordings are the same in all of them.
+    """
+    one, other = _detail(before), _detail(after)
+    if float((one * other).sum()) < SAME_PLACE:
+        return False
+    size = (max(1, one.shape[1] // PART), max(1, one.shape[0] // PART))
+    shared, first, second = (
+        cv2.resize(product, size, interpolation=cv2.INTER_AREA)
+        for product in (one * other, one**2, other**2)
+    )
+    shown = np.maximum(first, second) >= BARE / one.size
+    alike = shared[shown] / np.sqrt(first * second)[shown].clip(1e-12)
+    return float(np.median(alike)) >= SAME_PARTS
 
 
 def _detail(picture: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:

@@ -15,9 +15,10 @@ TRUNK = 0
 
 
 def places(limbs, along):
+    """Limbs 1 and 2 are those of two sides."""
     count = len(along)
     limbs = np.broadcast_to(limbs, count)
-    return LimbPlaces(limbs, np.asarray(along, float), np.zeros(count, bool), TRUNK)
+    return LimbPlaces(limbs, np.asarray(along, float), np.zeros(count, bool), TRUNK, (0, 2, 1, 3))
 
 
 def banded(body, means, joint):
@@ -61,7 +62,7 @@ def test_what_shows_more_tells_more():
 
 
 def test_limbs_tell_nothing_of_each_other_and_one_that_shows_nothing_is_not_known():
-    limbs, along = np.repeat([0, 1, 2], 20), np.zeros(60)
+    limbs, along = np.repeat([0, 1, 3], 20), np.zeros(60)
     colors = np.repeat([RED, BLUE, WHITE], 20, axis=0)
     told = np.ones(60)
     told[40 + FEWEST - 1 :] = 0
@@ -70,6 +71,32 @@ def test_limbs_tell_nothing_of_each_other_and_one_that_shows_nothing_is_not_know
     assert np.isnan(found[40:]).all()
     told[40 + FEWEST - 1] = 1
     np.testing.assert_array_equal(band_colors(colors, told, places(limbs, along)), colors)
+
+
+@pytest.mark.parametrize("limb", [1, 2])
+@pytest.mark.parametrize(("shown", "hidden"), [(0, True), (16, True), (17, False)])
+def test_a_hidden_limb_has_the_colours_of_the_other_side_place_by_place(limb, shown, hidden):
+    """Of 81 places of each limb those of one tell, and some of the other, by their upper end."""
+    along = np.tile(np.linspace(0, 0.4, 81), 2)
+    here = np.repeat([1, 2], 81) == limb
+    sleeve = np.where(along[:, None] < 0.201, [RED], [BLUE])
+    colors = np.where(here[:, None], [WHITE], sleeve)
+    told = (~here | (np.arange(162) % 81 < shown)).astype(float)
+    found = band_colors(colors, told, places(np.repeat([1, 2], 81), along))
+    below = along > 0.2 + 0.011
+    np.testing.assert_array_equal(found[~here & below], sleeve[~here & below])
+    np.testing.assert_array_equal(found[here & below], (sleeve if hidden else colors)[here & below])
+    none = band_colors(colors, np.zeros(162), places(np.repeat([1, 2], 81), along))
+    assert np.isnan(none).all()
+
+
+def test_limbs_of_the_other_side(body):
+    found = banded(body, torch.zeros(1, 3), "pelvis")
+    names = [*body.joint_names, "scalp"]
+    assert found.mirrored[names.index("left_elbow")] == names.index("right_elbow")
+    assert found.mirrored[names.index("right_hip")] == names.index("left_hip")
+    for name in ("pelvis", "neck", "head", "scalp"):
+        assert found.mirrored[names.index(name)] == names.index(name)
 
 
 def test_where_little_is_seen_of_a_place_the_nearest_of_the_limb_tell():

@@ -14,7 +14,7 @@ from deblur_avatar.body_estimation.both_ways import (
     told_apart,
 )
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting, landmarks_of
-from deblur_avatar.body_estimation.same_person import RUN, Look
+from deblur_avatar.body_estimation.same_person import NEARER, RUN, UNLIKE, Look
 
 HEIGHT, WIDTH, FRAMES, SIZE = 80, 400, 30, 40
 STAYS = 200.0  # pixels from the left
@@ -122,13 +122,15 @@ def test_two_who_wear_the_same_are_not_told_apart():
     assert told_apart(track(FORTH, **apart), track(BACK, **apart)) == []
 
 
-def test_colours_between_both_s_are_nobody_s():
+@pytest.mark.parametrize(("unseen", "hers"), [(0, "W" * 6), (1, "-" * 6)])
+def test_colours_between_both_s_are_nobody_s_but_who_was_just_seen(unseen, hers):
     forth, back = track(FORTH), track(BACK)
     for index in range(12, 18):
-        forth[index] = back[index] = look("W", index, worn=(BETWEEN, BETWEEN))
+        between = look("W", index, worn=(BETWEEN, BETWEEN)) if index >= 12 + unseen else None
+        forth[index] = back[index] = between
     filmed, passing = told_apart(forth, back)
     assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
-    assert whom(passing) == "W" * 12 + "-" * 6 + "W" * 12
+    assert whom(passing) == "W" * 12 + hers + "W" * 12
 
 
 @pytest.mark.parametrize("frames", [RUN - 1, RUN])
@@ -145,7 +147,76 @@ def test_colours_that_nobody_has_worn_are_somebody_else_s_if_seen_for_a_while(fr
     assert [list(seen) for seen in people[2:]] == [list(third)] * (frames == RUN)
 
 
-def test_two_may_pass_one_after_the_other():
+WIDE = {"L": 60.0, "M": 200.0, "R": 340.0}  # three slim people side by side, pixels
+NARROW = {"L": 182.0, "M": 200.0, "R": 218.0}  # farther than people move in a frame
+CLOSE = {"L": 180.0, "M": 203.0, "R": 217.0}  # but for two of them
+WORN = {"L": (255, 251, 251), "M": BLUE, "R": WHITE}  # two of them nearly the same
+
+
+def beside(whom, centres, worn=WORN):
+    """Who is seen in each frame of three who stay side by side."""
+    looks = [
+        None if who == "-" else look("W", index, away=centres[who], worn=(WHITE, worn[who]))
+        for index, who in enumerate(whom)
+    ]
+    for seen in looks:
+        if seen is not None:
+            middle = int(seen.centre[0])
+            seen.sighting.matte[:, : middle - 6] = seen.sighting.matte[:, middle + 6 :] = 0
+    return looks
+
+
+def named(people, centres):
+    """As letters, by place: who each of them is, and in which frames."""
+    names = {centre: name for name, centre in centres.items()}
+    return {"".join({names[float(at.centre[0])] for at in one.values()}): list(one)
+            for one in people}  # fmt: skip
+
+
+@pytest.mark.parametrize("unseen", [0, 1, 4])
+@pytest.mark.parametrize("centres", [CLOSE, NARROW, WIDE], ids=["close", "narrow", "wide"])
+def test_one_of_three_side_by_side_is_followed_while_the_track_back_changes(centres, unseen):
+    """Two wear nearly the same, and places tell little: she is who was just seen there."""
+    forth = beside("R" * 21 + "---" + "M" * 6, centres)
+    back = beside("L" * 12 + "-" * unseen + "M" * (9 - unseen) + "---" + "R" * 6, centres)
+    assert named(told_apart(forth, back), centres) == {
+        "R": [*range(21), *range(24, FRAMES)],
+        "L": list(range(12)),
+        "M": [*range(12 + unseen, 21), *range(24, FRAMES)],
+    }
+
+
+def test_who_slides_over_to_the_other_does_not_stay_who_she_is():
+    """Her landmarks hardly move, but colours are the other's at once."""
+    forth, back = track(FORTH), track(BACK)
+    for index, right in zip(range(12, 15), (214.0, 210.0, 206.0), strict=True):
+        forth[index] = back[index] = look("W", index, away=right)
+    filmed, passing = told_apart(forth, back)
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "W" * FRAMES
+
+
+def test_who_stays_is_known_beside_somebody_new_in_much_the_same():
+    alike = {"L": BLUE, "M": (255, 252, 252), "R": WHITE}
+    forth = beside("R" * 24 + "L" * 6, CLOSE, alike)
+    back = beside("M" * 9 + "L" * 15 + "R" * 6, CLOSE, alike)
+    people = named(told_apart(forth, back), CLOSE)
+    assert people == {"R": list(range(30)), "L": list(range(9, 30)), "M": list(range(9))}
+
+
+@pytest.mark.parametrize("unseen", [0, 3])
+def test_who_is_like_one_by_colours_and_like_the_other_by_her_place_is_neither(unseen):
+    """Colours do not tell R from L, nor places M from L; R was seen throughout."""
+    alike = {**WORN, "L": (255, 252, 252)}
+    forth = beside("R" * (FRAMES - 6) + "M" * 6, NARROW, alike)
+    back = beside("M" * 12 + "L" * 6 + "-" * unseen + "M" * (6 - unseen) + "R" * 6, NARROW, alike)
+    again = [*range(12), *range(18 + unseen, FRAMES)]
+    people = named(told_apart(forth, back), NARROW)
+    assert people == {"R": list(range(FRAMES)), "M": again, "L": list(range(12, 18))}
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_two_may_pass_one_after_the_other(swapped):
     """The track forth goes over to the second of them, and the one back to the first."""
     blue = {"worn": (WHITE, BLUE)}
     forth = track("S" * 8 + "W" * 7 + "-" * 15)
@@ -155,7 +226,7 @@ def test_two_may_pass_one_after_the_other():
         back[index] = look("S", index)
     for index in range(24, 30):
         forth[index] = back[index] = look("W", index - 16, **blue)
-    filmed, *passing = told_apart(forth, back)
+    filmed, *passing = told_apart(back, forth) if swapped else told_apart(forth, back)
     assert whom(filmed) == "S" * 8 + "-" * 8 + "S" * 8 + "-" * 6
     assert [list(seen) for seen in passing] == [list(range(15)), list(range(16, 30))]
 
@@ -209,15 +280,58 @@ def test_where_colours_do_not_tell_places_do(dark):
         assert len(person) >= 22
 
 
-def test_far_from_each_other_places_tell_whatever_light_makes_of_colours():
+@pytest.mark.parametrize("unseen", [0, 3])
+def test_far_from_each_other_places_tell_whatever_light_makes_of_colours(unseen):
     """Both turn the other's colour, as behind a sun that comes into the picture."""
     forth, back = track(FORTH, away=330.0), track(BACK, away=330.0)
     swapped = {"away": 330.0, "worn": (PINK, WHITE)}
     for index in range(18, 30):
-        forth[index] = look(FORTH[index], index, **swapped)
-        back[index] = look(BACK[index], index, **swapped)
+        seen = index >= 18 + unseen
+        forth[index] = look(FORTH[index], index, **swapped) if seen else None
+        back[index] = look(BACK[index], index, **swapped) if seen else None
     people = told_apart(forth, back)
-    assert sorted(whom(seen) for seen in people) == ["S" * 12 + "-" * 6 + "S" * 12, "W" * 30]
+    stays = "S" * 12 + "-" * (6 + unseen) + "S" * (12 - unseen)
+    passes = "W" * 18 + "-" * unseen + "W" * (12 - unseen)
+    assert sorted(whom(seen) for seen in people) == [stays, passes]
+
+
+def test_who_comes_from_far_in_colours_hardly_unlike_hers_is_somebody_new():
+    """She could have come there since she was last seen."""
+    forth, back = track(FORTH), track("W" * 12 + "-" * 18)
+    for index in range(24, FRAMES):
+        back[index] = look("W", index, away=380.0, worn=(WHITE, (238, 255, 238)))
+    third = told_apart(forth, back)[2]
+    assert list(third) == list(range(24, FRAMES))
+    assert UNLIKE < third[24].difference(forth[:12]) < UNLIKE + NEARER
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_places_are_those_where_a_stretch_is_nearest_in_time(reverse):
+    """Who goes away from her, in colours that do not compare, is whoever stands where she ends."""
+    apart = {"away": 330.0}
+    forth = [*track("W" * 12), *track("S" * 9, **apart), *track("W" * 9, **apart)]
+    back = [*track("W" * 12), *track("W" * 9, **apart), *track("S" * 9, **apart)]
+    for index in range(12):
+        here = look("W", index, away=210.0 + 10 * index)
+        forth[index] = back[index] = replace(here, colors=torch.full_like(here.colors, torch.nan))
+    if reverse:
+        forth, back = forth[::-1], back[::-1]
+    stays, goes = sorted(told_apart(forth, back), key=len)
+    assert len(stays) == 18
+    assert len(goes) == FRAMES
+    assert float(goes[15].centre[0]) == 330.0
+
+
+@pytest.mark.parametrize("right", [None, 380.0], ids=["between", "far from all"])
+def test_without_colours_and_clear_places_nobody_is_seen(right):
+    forth, back = track(FORTH), track(BACK)
+    for index in range(12, 18):
+        here = look("W", index, away=right)
+        bare = replace(here, colors=torch.full_like(here.colors, torch.nan))
+        forth[index] = back[index] = bare if index > 12 else None
+    filmed, passing = told_apart(forth, back)
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 12
+    assert whom(passing) == "W" * 12 + "-" * 6 + "W" * 12
 
 
 def test_places_are_told_from_one_run_to_the_next():
@@ -330,11 +444,22 @@ def test_who_is_seen_much_less_is_not_filmed(seen, filmed):
 def test_in_a_crowd_whoever_wears_several_clothes_is_nobody():
     """Beside where she was somebody else is seen, farther than people move in a frame."""
     forth, back = track(FORTH), track(BACK)
+    back[22:24] = [None] * 2
     for index in range(24, FRAMES):
         back[index] = look("W", index, away=STAYS + 0.45 * SIZE, worn=(BLUE, BLUE))
     assert told_apart(forth, back) == []
     back[24:] = [None] * 6
     assert told_apart(forth, back)
+
+
+def test_who_was_just_seen_is_nobody_in_other_clothes_beside_her():
+    forth, back = track(FORTH), track(BACK)
+    for index in range(24, FRAMES):
+        back[index] = look("W", index, away=STAYS + 0.45 * SIZE, worn=(BLUE, BLUE))
+    filmed, passing, third = told_apart(forth, back)
+    assert whom(filmed) == "S" * 12 + "-" * 6 + "S" * 6 + "-" * 6
+    assert whom(passing) == "W" * FRAMES
+    assert list(third) == list(range(24, FRAMES))
 
 
 def test_two_who_never_meet_are_never_mixed_up():

@@ -70,7 +70,8 @@ def test_a_hidden_landmark_does_not_make_her_larger():
 
 def test_who_moves_fast_in_her_clothes_is_the_same():
     assert is_same(look(stand(right=220.0)), [look()], 0)
-    assert look().jumps_to(look(stand(right=220.0)))
+    assert look().jumps_to(look(stand(right=220.0)), 1)
+    assert not look().jumps_to(look(stand(right=220.0)), 100)  # frames later
 
 
 def test_who_does_not_jump_may_change_colours():
@@ -146,19 +147,19 @@ def test_where_few_landmarks_are_believed_all_tell_whether_she_jumps():
     for hidden in (here, beside):
         hidden.sighting.visibility[: COUNT - 4] = 0.1
         hidden.sighting.points[COUNT - 4 :] = torch.tensor([140.0, 170.0])
-    assert here.jumps_to(beside)
-    assert not here.jumps_to(here)
+    assert here.jumps_to(beside, 1)
+    assert not here.jumps_to(here, 1)
     here.sighting.visibility[: COUNT - 5] = 0.9
     beside.sighting.visibility[COUNT - 5 :] = 0.9
-    assert here.jumps_to(beside)
+    assert here.jumps_to(beside, 1)
 
 
 def test_landmarks_that_are_not_believed_do_not_tell_of_a_jump():
     here, there = look(), look()
     there.sighting.points[:20] += 80.0
-    assert here.jumps_to(there)
+    assert here.jumps_to(there, 1)
     there.sighting.visibility[:20] = 0.1
-    assert not here.jumps_to(there)
+    assert not here.jumps_to(there, 1)
 
 
 def test_stripes_are_the_colour_that_they_have_from_afar():
@@ -177,7 +178,7 @@ def test_stripes_are_the_colour_that_they_have_from_afar():
 def test_a_jump_is_one_of_a_quarter_of_the_landmarks(moved, jumps):
     here, there = look(), look()
     there.sighting.points[:moved] += 80.0
-    assert here.jumps_to(there) == jumps
+    assert here.jumps_to(there, 1) == jumps
 
 
 @pytest.mark.parametrize(("right", "jumps"), [(184.0, False), (190.0, True)])
@@ -186,7 +187,7 @@ def test_a_jump_is_by_the_size_of_the_larger_look(right, jumps):
     for one, at in ((here, 160.0), (there, right)):
         one.sighting.points[:] = torch.tensor([at, 120.0])
     assert (here.size, there.size) == (120, 216)
-    assert here.jumps_to(there) == there.jumps_to(here) == jumps
+    assert here.jumps_to(there, 1) == there.jumps_to(here, 1) == jumps
 
 
 def test_colours_at_an_edge_are_of_what_is_in_the_picture():

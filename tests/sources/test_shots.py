@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from deblur_avatar.sources.footage import read_footage
-from deblur_avatar.sources.shots import longest_shot, shot_starts
+from deblur_avatar.sources.shots import SAME_PLACE, _detail, longest_shot, shot_starts
 from tests.sources.small_videos import FPS, write_video
 
 WIDTH, HEIGHT = 192, 108
@@ -54,6 +54,27 @@ def test_what_an_editor_left_of_another_shot_is_found(left: int):
 
 def test_a_glimpse_of_something_else_does_not_join_two_shots():
     assert starts([*shot(0, 15), *shot(1, 2), *shot(2, 15)])[1] in (15, 17)
+
+
+def captioned(frames: list[np.ndarray], seed: int) -> list[np.ndarray]:
+    """A place with leaves, and an editor's words over its upper third, the same in all shots."""
+    words = np.random.default_rng(9).integers(0, 2, (12, 48, 1)) * 255.0
+    caption = np.repeat(np.repeat(words, 3, 0), 4, 1).repeat(3, 2)
+    leaves = np.random.default_rng(seed).normal(0, 25, (HEIGHT // 2, WIDTH // 2, 1))
+    leaves = np.repeat(np.repeat(leaves, 2, 0), 2, 1)[36:]
+    return [
+        np.concatenate([caption, frame[36:] + leaves]).clip(0, 255).astype(np.uint8)
+        for frame in frames
+    ]
+
+
+def test_a_caption_over_two_shots_does_not_join_them():
+    """Nor does it cut one in whose light something changes."""
+    two = [*captioned(shot(0, 20), 0), *captioned(shot(1, 20), 1)]
+    before, after = (_detail(picture) for picture in two[19:21])
+    assert float((before * after).sum()) > SAME_PLACE
+    assert starts(two) == [0, 20]
+    assert starts(captioned(lamp(), 0)) == [0]
 
 
 def flash() -> list[np.ndarray]:
