@@ -3,17 +3,19 @@
     python -m benchmarks.passers_by [--frames 60] [--people 3] [--first 100] [--json FILE]
 
 draws people who move on the spot in a street while others walk past, sharply, 640 pixels square: in
-front of them, behind, near the camera, far off, in the same clothes, two of them, and nobody.
+front of them, behind, near the camera, far off, in the same clothes, two of them, and nobody; and
+with others who move on the spot beside them, in other clothes or in the same ones.
 Prints JSON, a case at a time, shares of all frames: in which she is to be seen (a third of her
 largest matte or more); in which the matte that was found covers her, somebody else, or parts of
 both, in the detector's first track (`detect_with_mediapipe`) and in the one that is taken
 (`detect_main_person`); and in what share of the films it was said that several were mixed up or may
-be. A quarter of an hour of one core for three people, 2 GB.
+be. Half an hour of one core for three people, 2 GB.
 """
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +34,7 @@ from deblur_avatar.rendering.mesh_rendering import View, render
 from deblur_avatar.sources.studio.backdrop import draw_backdrop, street
 from deblur_avatar.sources.studio.cameras import RingParams, place_cameras
 from deblur_avatar.sources.studio.improvised import improvise
+from deblur_avatar.sources.studio.motion import Moves
 from deblur_avatar.sources.studio.passer_by import PasserBy, PasserByParams
 from deblur_avatar.sources.studio.person import Person, create_person
 from deblur_avatar.sources.studio.source import LIGHTING
@@ -57,8 +60,29 @@ class Walk(NamedTuple):
     middle_s: float = 1.25
     look: str | None = "green"  # None: the clothes of the person who is filmed
 
+    def moves(self, person: Person, times: Float[Tensor, " F"], _: torch.Generator) -> Moves:
+        """Of somebody who walks."""
+        params = PasserByParams(
+            depth_m=self.depth_m, speed_m_s=self.speed_m_s, middle_s=self.middle_s
+        )
+        return PasserBy(person, params).moves(times.double())
 
-CASES: Mapping[str, tuple[Walk, ...]] = {
+
+class Stay(NamedTuple):
+    """Where somebody moves on the spot: x, to the side of the person; z; in what."""
+
+    aside_m: float
+    depth_m: float
+    look: str | None = "green"
+
+    def moves(self, _: Person, times: Float[Tensor, " F"], generator: torch.Generator) -> Moves:
+        """Of somebody who moves beside the person."""
+        moves = improvise(generator)(times, 1.0)
+        aside = moves.transl.new_tensor([self.aside_m, 0.0, self.depth_m])
+        return replace(moves, transl=moves.transl + aside)
+
+
+CASES: Mapping[str, tuple[Walk | Stay, ...]] = {
     "slowly": (Walk(0.7, 0.8),),
     "fast": (Walk(0.7, 1.6),),
     "behind": (Walk(-0.8, 1.2),),
@@ -67,6 +91,10 @@ CASES: Mapping[str, tuple[Walk, ...]] = {
     "same clothes": (Walk(0.7, 1.2, look=None),),
     "two": (Walk(0.7, 1.6, 0.6), Walk(0.9, 1.6, 1.9, "blue")),
     "nobody": (),
+    "one beside": (Stay(-0.9, 0.2),),
+    "at both sides": (Stay(-0.9, 0.2), Stay(0.9, -0.2, "blue")),
+    "at both sides, one alike": (Stay(-0.9, 0.2), Stay(0.9, -0.2, None)),
+    "beside, and one passes": (Stay(-0.9, 0.2, "blue"), Walk(0.7, 1.2)),
 }
 
 
@@ -77,8 +105,8 @@ class Film(NamedTuple):
     mattes: Float[Tensor, "F N H W"]
 
 
-def drawn(body: Body, walks: Sequence[Walk], seed: int, frames: int) -> Film:
-    """Draw somebody on the spot, whom others pass."""
+def drawn(body: Body, others: Sequence[Walk | Stay], seed: int, frames: int) -> Film:
+    """Draw somebody on the spot, whom others pass, or beside whom they stay."""
     generator = torch.Generator().manual_seed(seed)
 
     def somebody(look: str | None) -> Person:
@@ -87,12 +115,10 @@ def drawn(body: Body, walks: Sequence[Walk], seed: int, frames: int) -> Film:
 
     times = torch.arange(frames) / FPS
     people = [(0.0, (person := somebody(None)), person.posed(improvise(generator)(times, 1.0)))]
-    for walk in walks:
-        params = PasserByParams(
-            depth_m=walk.depth_m, speed_m_s=walk.speed_m_s, middle_s=walk.middle_s
-        )
-        other = PasserBy(somebody(walk.look), params)
-        people.append((walk.depth_m, other.person, iter(other.instants(times.double()))))
+    for other in others:
+        person = somebody(other.look)
+        moves = other.moves(person, times, generator)
+        people.append((other.depth_m, person, person.posed(moves)))
     view = View.of(place_cameras(2, SIZE, RING), 0, samples_per_axis=2)
     behind = draw_backdrop(street(np.random.default_rng(seed)), view.K, view.viewmat, (SIZE, SIZE))
     pictures, mattes = [], []

@@ -26,6 +26,11 @@ and where poses are a little off it makes up for them by reaching in front of th
 which another side sees as fluff. So none reaches farther off than clothes do, unless pictures ask
 for it.
 
+Opacity. Nothing in one side's pictures tells an opaque front from one that lets a sixth of the
+light of the back through, and a fit of many small Gaussians ends there. Then backs are coloured by
+what fronts lack, and from another side both are wrong. So a surface is held to be opaque: from any
+side, what faces it shows, and what turns away does not.
+
 Coverage. Beside the top of a head the camera's pixels take light away, and none gives it back: the
 crown stays open. So a head is closed nearer to its silhouette than the rest of a body.
 """
@@ -46,18 +51,20 @@ from torch.nn.functional import normalize
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
+from deblur_avatar.avatars.closure import open_share
 from deblur_avatar.avatars.gaussians import neighbour_indices
 from deblur_avatar.avatars.limb_bands import LimbPlaces, band_colors, limb_places
 from deblur_avatar.avatars.params import AvatarParams, FittingParams
 from deblur_avatar.avatars.plain_avatar import (
     COLORS,
     HEIGHT,
+    LOOKS_EVERY,
     PlainAvatar,
     PlainFitting,
     SmoothnessParams,
 )
 from deblur_avatar.avatars.regularisers import excess_height
-from deblur_avatar.avatars.splats import SplatRendering
+from deblur_avatar.avatars.splats import SplatRendering, SplatState
 from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.config.section import NonNegative, Positive
 from deblur_avatar.geometry.cameras import Camera, camera_centres
@@ -84,6 +91,7 @@ CLOTHES = 0.03  # metres that a Gaussian may reach off the body, to either side
 # From what share of the depth on nothing may be seen through: a head is no thinner than the fitted
 # body's, as a limb may be.
 CLOSED_NEARER = {"head": 0.2}
+OPAQUE = 0.95  # share of the light inside a silhouette that comes from what faces the camera
 REACH = 2.0  # standard deviations across the surface that it reaches
 
 
@@ -94,9 +102,10 @@ class OneSidedParams(AvatarParams):
 
 
 class OneSidedSmoothness(SmoothnessParams):
-    """A plain avatar's, and a weight of heights themselves."""
+    """A plain avatar's, and weights of heights themselves and of what shines through."""
 
     near_body: NonNegative  # no Gaussian reaches farther off the body than clothes do
+    opaque: NonNegative  # from any side, only what faces it shows; whatever is seen
 
 
 class OneSidedFitting(PlainFitting):
@@ -105,6 +114,11 @@ class OneSidedFitting(PlainFitting):
     least_pixels: Positive  # with fewer its colour is unknown
     sure_pixels: Positive  # of frames that it faces: with as many it goes on; of small people fewer
     regularisers: OneSidedSmoothness
+
+    def weights(self, step: TrainingStep, occluded_fraction: float) -> Mapping[str, float]:
+        """A plain avatar's; a front is opaque whether the back is seen or not."""
+        plain = super().weights(step, occluded_fraction)
+        return {**plain, "opaque": self.regularisers.opaque}
 
     @model_validator(mode="after")
     def _sure_is_known(self) -> "OneSidedFitting":
@@ -130,7 +144,7 @@ class OneSidedAvatar(PlainAvatar):
     closed_nearer: ClassVar[Mapping[str, float]] = CLOSED_NEARER
 
     def regularisers(self, rendering: SplatRendering, step: TrainingStep) -> Regularisers:
-        """A plain avatar's; and Gaussians stay near the body."""
+        """A plain avatar's; and Gaussians stay near the body, and hide what is behind them."""
 
         def near_body() -> Tensor:
             gaussians, surface = self.gaussians, self._surface()
@@ -138,7 +152,39 @@ class OneSidedAvatar(PlainAvatar):
             reach = REACH * (surface.normals[:, None] @ factors)[:, 0].norm(dim=1)
             return excess_height(surface.heights(gaussians.means), reach, CLOTHES) / HEIGHT
 
-        return {**super().regularisers(rendering, step), "near_body": near_body}
+        terms = {**super().regularisers(rendering, step), "near_body": near_body}
+        look, between = divmod(step.iteration, LOOKS_EVERY)
+        return terms if between else terms | {"opaque": lambda: self._shines_through(look, step)}
+
+    def _open_share(self, look: int, step: TrainingStep) -> Tensor:
+        """How much light passes between what faces one side, which alone closes the surface."""
+        return LOOKS_EVERY * open_share(self._light(look, self._faced(look, step)))
+
+    def _shines_through(self, look: int, step: TrainingStep) -> Tensor:
+        """How much light comes from what turns away, of the canonical avatar seen from one side.
+
+        By opacities alone: a front that grew wide instead would be blurred.
+        """
+        state = self._faced(look, step)
+        still = replace(
+            state, means=state.means.detach(), covariance_factors=state.covariance_factors.detach()
+        )
+        return LOOKS_EVERY * (OPAQUE - self._light(look, still)).relu().mean()
+
+    def _faced(self, look: int, step: TrainingStep) -> SplatState:
+        """The canonical avatar, white where it faces the camera of a look and black elsewhere."""
+        viewmat = self._view(look).camera.viewmat
+        still = torch.eye(4, device=self.betas.device).expand(len(self.body.parents), 4, 4)
+        state = self.condition(still[:, :3, :3], 0, still, viewmat, step)
+        towards = camera_centres(viewmat) - state.means.detach()
+        faces = (self._surface().normals * towards).sum(1) > 0
+        return replace(state, colors=faces[:, None].expand(-1, COLORS).to(towards))
+
+    def _light(self, look: int, state: SplatState) -> Float[Tensor, " inside"]:
+        """Of the pixels of a look that lie well inside the body."""
+        view = self._view(look)
+        still = torch.eye(4, device=self.betas.device).expand(1, len(self.body.parents), 4, 4)
+        return self.render(state, still, view.camera).image[0, ..., 0][view.inside]
 
     def inpaint(
         self,

@@ -125,11 +125,14 @@ class PlainAvatar(SplatAvatar):
 
     def _open_share(self, look: int, step: TrainingStep) -> Tensor:
         """How much light passes through the canonical avatar, from one side after the other."""
+        still = torch.eye(3, device=self.betas.device).expand(len(self.body.parents), 3, 3)
+        return LOOKS_EVERY * open_share(self._view(look).coverage(self, still, 0, step))
+
+    def _view(self, look: int) -> ClosureView:
+        """One look at the canonical avatar, from one side after the other."""
         if self._views is None:
             self._views = closure_views(self.canonical_vertices, self.body, self.closed_nearer)
-        view = self._views[look % len(self._views)]
-        still = torch.eye(3, device=self.betas.device).expand(len(self.body.parents), 3, 3)
-        return LOOKS_EVERY * open_share(view.coverage(self, still, 0, step))
+        return self._views[look % len(self._views)]
 
     def invalidate_neighbours(self) -> None:
         """Forget where Gaussians stood on the surface, too."""

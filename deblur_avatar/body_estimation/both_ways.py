@@ -8,6 +8,7 @@ who is seen in all other frames.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import permutations
 from math import inf, isnan
 from statistics import fmean, median
@@ -16,7 +17,15 @@ from typing import NamedTuple
 import torch
 
 from deblur_avatar.body_estimation.landmarks import Landmarks
-from deblur_avatar.body_estimation.same_person import NEARER, RUN, UNLIKE, Look, Looks, is_one
+from deblur_avatar.body_estimation.same_person import (
+    NEARER,
+    RUN,
+    UNLIKE,
+    Look,
+    Looks,
+    colors_worn,
+    is_one,
+)
 from deblur_avatar.imaging.overlap import soft_iou
 
 APART = 0.2  # of the area that two mattes cover, covered by both, at most: two people
@@ -144,7 +153,8 @@ def _differ(first: Sequence[Look], second: Sequence[Look]) -> bool:
 
 def _differences(track: Sequence[Look], wearing: Sequence[Look]) -> list[float]:
     """Of looks that compare."""
-    found = (look.difference(wearing) for look in track)
+    worn = colors_worn(wearing)
+    found = (look.difference(worn) for look in track)
     return [difference for difference in found if not isnan(difference)]
 
 
@@ -266,7 +276,7 @@ def _by_both(
     """Whom colours name best, and against any other order either they or places name clearly."""
     if colors is None:
         return ()
-    best, _, _ = _best(orders, colors, orders)
+    best = min(orders, key=partial(_cost, costs=colors))
     ahead = (
         _ahead(best, other, colors) >= NEARER or _ahead(best, other, ways) >= BESIDE
         for other in orders if other != best
@@ -289,13 +299,13 @@ def _best(
         costs: of each look being each person's.
         among: what it is compared with.
     """
-
-    def cost(order: Sequence[int]) -> float:
-        return fmean(row[who] for row, who in zip(costs, order, strict=True))
-
-    best = min(orders, key=cost)
+    best = min(orders, key=partial(_cost, costs=costs))
     others = (_ahead(best, other, costs) for other in among if other != best)
-    return best, cost(best), min(others, default=inf)
+    return best, _cost(best, costs), min(others, default=inf)
+
+
+def _cost(order: Sequence[int], costs: Costs) -> float:
+    return fmean(row[who] for row, who in zip(costs, order, strict=True))
 
 
 def _ahead(order: Sequence[int], other: Sequence[int], costs: Costs) -> float:

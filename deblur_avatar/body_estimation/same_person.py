@@ -74,25 +74,29 @@ class Look:
 
     def is_unlike(self, known: Iterable["Look"]) -> bool:
         """Whether colours are none that she was surely seen in: most places differ from all."""
-        return self.difference(known) > UNLIKE
+        return self.difference(colors_worn(known)) > UNLIKE
 
     def is_rather(self, hers: Sequence["Look"], others: Sequence["Look"]) -> bool:
         """Whether colours are hers and not those of others; not, where they do not compare."""
-        return self.difference(others) - self.difference(hers) >= NEARER
+        from_others = self.difference(colors_worn(others))
+        return from_others - self.difference(colors_worn(hers)) >= NEARER
 
-    def difference(self, known: Iterable["Look"]) -> float:
-        """Of colours from the most alike in which she was surely seen: CIELAB's, of the median
-        place. NaN where too few places compare.
+    def difference(self, worn: Float[Tensor, "K 4 3"]) -> float:
+        """Of colours from the most alike that were worn: CIELAB's, of the median place. NaN where
+        too few places compare.
         """
-        all_colors = [look.colors for look in known if look.is_sure]
-        if not all_colors:
-            return math.nan
-        apart = (torch.stack(all_colors) - self.colors).norm(dim=2)
+        apart = (worn - self.colors).norm(dim=2)
         compared = apart[(~apart.isnan()).sum(1) >= COMPARED]
         return float(compared.nanmedian(1).values.min()) if len(compared) else math.nan
 
 
 Looks = Sequence[Look | None]  # of a track, frame after frame
+
+
+def colors_worn(known: Iterable[Look]) -> Float[Tensor, "K 4 3"]:
+    """Colours in which somebody was surely seen."""
+    found = [look.colors for look in known if look.is_sure]
+    return torch.stack(found) if found else torch.empty(0, 4, 3)
 
 
 def looks_of(person: Landmarks, frames: UInt8[Tensor, "F H W 3"]) -> list[Look | None]:

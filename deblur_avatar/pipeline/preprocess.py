@@ -36,6 +36,7 @@ from deblur_avatar.body_estimation.trimming import trimmed, without_background
 from deblur_avatar.body_estimation.unseen_frames import between_seen
 from deblur_avatar.config.section import NonNegative, Params, Positive
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.frame_numbers import spans
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.imaging.backgrounds import BackgroundEstimator, BackgroundKind
 from deblur_avatar.imaging.exposure import AveragingSpace, frames_before
@@ -315,7 +316,7 @@ def _frames_with_person(mattes: UInt8[Tensor, "F H W"]) -> Bool[Tensor, " F"]:
         raise ArtifactError("no frame shows a person: every mask is black; check masks and videos")
     if not shown.all():
         missing = torch.nonzero(~shown).flatten().tolist()
-        logger.warning("%d frames without a person are skipped: %s", len(missing), missing)
+        logger.warning("%d frames without a person are skipped: %s", len(missing), spans(missing))
     return shown
 
 

@@ -18,6 +18,7 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.frame_numbers import spans
 from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.sources.fades import longest_without_fades
 from deblur_avatar.sources.footage_damage import (
@@ -176,7 +177,7 @@ def _one_shot(read: Footage, path: Path) -> Footage:
         "clip.frames for another",
         path,
         len(starts),
-        [read.numbers[index] for index in starts[1:21]],
+        spans([read.numbers[index] for index in starts[1:]]),
         read.numbers[first],
         read.numbers[stop - 1],
     )
@@ -204,7 +205,7 @@ def _new_frames(read: Footage, path: Path) -> Footage:
         raise ArtifactError(f"{path} shows {len(new)} picture; a clip is two or more")
     if len(new) < len(read.frames):
         left_out = [read.numbers[i] for i in range(len(read.frames)) if i not in set(new)]
-        logger.warning("%s: %d repeated frames left out: %s", path, len(left_out), left_out[:20])
+        logger.warning("%s: %d repeated frames left out: %s", path, len(left_out), spans(left_out))
     pictures = conversion(repeats, len(read.frames))
     if len(new) + len(repeats) != len(read.frames):
         pictures = None
@@ -241,8 +242,8 @@ def _tell_of_gaps(kept: Footage, path: Path) -> None:
     steps = kept.timestamps.diff()
     gaps = np.flatnonzero((steps > GAP * steps.median()).numpy())
     if len(gaps):
-        missing = [kept.numbers[index] for index in gaps[:20]]
-        logger.warning("%s: %d gaps in time, after frames %s", path, len(gaps), missing)
+        before = spans([kept.numbers[index] for index in gaps])
+        logger.warning("%s: %d gaps in time, after frames %s", path, len(gaps), before)
 
 
 def _tell_of_drift(kept: Footage, path: Path) -> None:

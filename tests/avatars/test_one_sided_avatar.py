@@ -9,8 +9,9 @@ import torch
 
 from deblur_avatar.avatars import limb_bands, one_sided_avatar
 from deblur_avatar.avatars.avatar import TrainingStep
-from deblur_avatar.avatars.closure import VIEWS
+from deblur_avatar.avatars.closure import COVERED, VIEWS
 from deblur_avatar.avatars.one_sided_avatar import (
+    OPAQUE,
     OneSidedAvatar,
     OneSidedFitting,
     OneSidedParams,
@@ -18,7 +19,8 @@ from deblur_avatar.avatars.one_sided_avatar import (
     inpainted,
     neighbour_weights,
 )
-from deblur_avatar.avatars.plain_avatar import PlainAvatar, PlainParams
+from deblur_avatar.avatars.plain_avatar import LOOKS_EVERY, PlainAvatar, PlainParams
+from deblur_avatar.geometry.cameras import camera_centres
 
 GREY, RED, BLUE = [0.5] * 3, [0.8, 0.1, 0.1], [0.1, 0.1, 0.8]
 
@@ -483,3 +485,75 @@ def test_a_crown_is_closed_that_a_plain_avatar_may_go_without(grey, body):
             step = TrainingStep(0, 1.0, None, torch.Generator())
             opened.append(sum(float(model._open_share(look, step)) for look in range(VIEWS)))
     assert opened[0] > 10 * opened[1]
+
+
+def facing(model, look):
+    """Which Gaussians face the camera of a look, by the surface below them."""
+    with torch.no_grad():
+        eye = camera_centres(model._view(look).camera.viewmat)
+        towards = eye - model.gaussians.means
+        return (model._surface().normals * towards).sum(1) > 0
+
+
+def opaque_terms(model, front, still, look):
+    """What closes a surface and what shines through it, seen from one side."""
+    step = TrainingStep(LOOKS_EVERY * look, 1.0, None, torch.Generator())
+    terms = model.regularisers(rendered(model, front, still), step)
+    return terms["closed"](), terms["opaque"]()
+
+
+@pytest.fixture
+def dense(body):
+    """An avatar whose front alone hides what is behind it."""
+    params, generator = OneSidedParams(kind="one_sided"), torch.Generator().manual_seed(0)
+    betas = torch.zeros(body.shape_dirs.shape[-1])
+    model = OneSidedAvatar.create(params, body, betas, 3, 4000, "linear", generator)
+    with torch.no_grad():
+        model.gaussians.opacity_logits.fill_(6.0)
+        model.gaussians.log_scales += 0.3
+    return model
+
+
+@pytest.mark.parametrize("look", [0, 5])
+def test_what_turns_away_shines_through_a_thin_front_and_not_through_an_opaque_one(
+    dense, grey, still, look
+):
+    def terms(facing_logit, turned_logit):
+        with torch.no_grad():
+            logits = dense.gaussians.opacity_logits
+            logits.copy_(torch.where(facing(dense, look), facing_logit, turned_logit))
+            return [term.item() for term in opaque_terms(dense, grey[1], still, look)]
+
+    assert terms(6.0, -30.0) == [0.0, 0.0]
+    assert max(terms(6.0, 6.0)) < 0.1  # an arm's far side, before the trunk's near one
+    closed, opaque = terms(-3.0, 6.0)
+    assert closed > 0.5
+    assert opaque - closed == pytest.approx(LOOKS_EVERY * (OPAQUE - COVERED), abs=0.2)
+    plain = PlainAvatar._open_share(dense, look, TrainingStep(0, 1.0, None, torch.Generator()))
+    assert plain.item() == 0.0  # what turns away closes it for him
+
+
+def test_a_front_becomes_opaque_by_opacities_alone_and_the_back_stays(dense, grey, still):
+    hides = facing(dense, 0)
+    with torch.no_grad():
+        dense.gaussians.opacity_logits[hides] = -1.5
+    _, shines = opaque_terms(dense, grey[1], still, 0)
+    parameters = dict(dense.gaussians.named_parameters())
+    pulls = torch.autograd.grad(shines, list(parameters.values()), allow_unused=True)
+    found = {name: pull for name, pull in zip(parameters, pulls, strict=True) if pull is not None}
+    own = found.pop("opacity_logits")
+    assert all((pull == 0).all() for pull in found.values())
+    assert own[hides].sum() < 10 * -own[~hides].abs().sum() < 0
+
+
+def test_nothing_shines_through_whatever_is_seen_and_every_third_step_looks(
+    grey, still, tiny_parameters
+):
+    weighed = fitting(tiny_parameters)
+    steps = [TrainingStep(turn, 1.0, weighed, torch.Generator()) for turn in range(LOOKS_EVERY)]
+    weights = [weighed.weights(steps[0], share)["opaque"] for share in (0.0, 0.04, 0.5)]
+    assert weights == [weighed.regularisers.opaque] * 3
+    assert weights[0] > 0
+    model, front = grey
+    terms = [model.regularisers(rendered(model, front, still), step) for step in steps]
+    assert ["opaque" in found for found in terms] == [True, *[False] * (LOOKS_EVERY - 1)]

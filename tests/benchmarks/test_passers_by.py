@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from benchmarks import passers_by
-from benchmarks.passers_by import Walk, drawn, seen, whose
+from benchmarks.passers_by import Stay, Walk, drawn, seen, whose
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
 
 SIZE = 8
@@ -68,6 +68,15 @@ def test_who_passes_in_front_covers_her_and_who_passes_behind_is_covered(body, m
     assert areas["front"][0] < 0.7 * areas["alone"][0]
     assert areas["behind"][0] == pytest.approx(areas["alone"][0])
     assert areas["behind"][1] < areas["front"][1]
+
+
+def test_who_stays_beside_her_is_at_her_side_in_every_frame(body, monkeypatch):
+    monkeypatch.setattr(passers_by, "SIZE", 48)
+    film = drawn(body, (Stay(-0.9, 0.0), Stay(0.9, 0.0, None)), seed=0, frames=3)
+    across = film.mattes.sum(2) @ torch.arange(48.0) / film.mattes.sum((2, 3))
+    assert (across.diff(dim=1)[:, 0] < -6).all()
+    assert (across[:, 2] - across[:, 0] > 6).all()
+    assert not torch.equal(film.mattes[0, 1], film.mattes[2, 1])
 
 
 def test_a_case_says_whose_both_tracks_are_and_what_was_warned_of(body, monkeypatch):

@@ -14,7 +14,7 @@ from deblur_avatar.body_estimation.both_ways import (
     told_apart,
 )
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks, Sighting, landmarks_of
-from deblur_avatar.body_estimation.same_person import NEARER, RUN, UNLIKE, Look
+from deblur_avatar.body_estimation.same_person import NEARER, RUN, UNLIKE, Look, colors_worn
 
 HEIGHT, WIDTH, FRAMES, SIZE = 80, 400, 30, 40
 STAYS = 200.0  # pixels from the left
@@ -302,7 +302,7 @@ def test_who_comes_from_far_in_colours_hardly_unlike_hers_is_somebody_new():
         back[index] = look("W", index, away=380.0, worn=(WHITE, (238, 255, 238)))
     third = told_apart(forth, back)[2]
     assert list(third) == list(range(24, FRAMES))
-    assert UNLIKE < third[24].difference(forth[:12]) < UNLIKE + NEARER
+    assert UNLIKE < third[24].difference(colors_worn(forth[:12])) < UNLIKE + NEARER
 
 
 @pytest.mark.parametrize("reverse", [False, True])

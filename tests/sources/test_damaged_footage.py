@@ -98,7 +98,7 @@ def test_24_frames_in_30_are_24_evenly_spaced_frames_again(
     assert clip.frames.shape[1] == 24
     assert clip.timestamps.diff().tolist() == pytest.approx([1 / 24] * 23, abs=1e-4)
     assert clip.exposure == pytest.approx(0.5 / 24, rel=1e-3)
-    assert "6 repeated frames left out: [4, 9, 14, 19, 24, 29]" in caplog.text
+    assert "6 repeated frames left out: 4, 9, 14, 19, 24, 29" in caplog.text
     assert "every 5. frame repeats the one before" in caplog.text
 
 
@@ -173,7 +173,7 @@ def test_a_single_repeat_leaves_the_times_of_the_others_alone(
     clip = load(body, write(tmp_path / "a.mp4", [*frames[:5], frames[4], *frames[5:]]))
     times = [index / 30 for index in range(13) if index != 5]
     assert clip.timestamps.tolist() == pytest.approx(times, abs=1e-4)
-    assert "1 repeated frames left out: [5]" in caplog.text
+    assert "1 repeated frames left out: 5" in caplog.text
     assert "converted" not in caplog.text
 
 
@@ -219,7 +219,7 @@ def test_a_frame_that_was_dropped_is_a_gap_that_is_told(
     clip = load(body, write(tmp_path / "a.mp4", [frames[i] for i in kept], [i / 30 for i in kept]))
     assert clip.timestamps.tolist() == pytest.approx([i / 30 for i in kept], abs=1e-4)
     assert clip.exposure == pytest.approx(0.5 / 30, rel=1e-3)
-    assert "1 gaps in time, after frames [4]" in caplog.text
+    assert "1 gaps in time, after frames 4" in caplog.text
 
 
 def test_a_variable_frame_rate_keeps_the_camera_s_own_times(body: Body, tmp_path: Path):

@@ -40,7 +40,7 @@ def test_a_repeated_frame_is_left_out_and_said(tmp_path: Path, caplog: pytest.Lo
     footage = read(write_video(tmp_path / "a.mp4", repeated))
     assert footage.numbers == (0, 1, 3)
     assert footage.timestamps.tolist() == pytest.approx([0, 1 / FPS, 3 / FPS])
-    assert "1 repeated frames left out: [2]" in caplog.text
+    assert "1 repeated frames left out: 2" in caplog.text
     assert footage.interval == pytest.approx(1 / FPS)
 
 
@@ -53,7 +53,7 @@ def test_a_repeat_in_a_clip_of_three_frames_is_no_frame_rate(tmp_path: Path):
 def test_a_dropped_frame_leaves_a_gap_in_time(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     footage = read(write_video(tmp_path / "a.mp4", PICTURES[:4], [0, 0.04, 0.12, 0.16]))
     assert footage.timestamps.diff().tolist() == pytest.approx([0.04, 0.08, 0.04])
-    assert "1 gaps in time, after frames [1]" in caplog.text
+    assert "1 gaps in time, after frames 1" in caplog.text
 
 
 def test_a_rotated_recording_is_upright_and_its_size_too(tmp_path: Path):

@@ -7,6 +7,7 @@ import torch
 
 from deblur_avatar.avatars.kinds import AVATARS, avatar_from_artifact
 from deblur_avatar.avatars.one_sided_avatar import OneSidedAvatar
+from deblur_avatar.avatars.plain_avatar import PlainAvatar
 from deblur_avatar.config.reading import parse
 from deblur_avatar.evaluation.reblur import reblur
 from deblur_avatar.motion.kinds import KINDS
@@ -107,7 +108,7 @@ def test_any_avatar_is_fitted_with_any_motion(motion, warmed, few, schedule, tin
 def test_a_one_sided_avatar_free_to_stand_off_is_a_plain_one_but_for_colours_no_frame_shows(
     few, schedule, tiny_parameters, monkeypatch
 ):
-    """And but for its crown, and what begins anew once warm; both are let alone here."""
+    """And but for its surface, and what begins anew once warm; both are let alone here."""
     inpaint = OneSidedAvatar.inpaint
 
     def once_finished(*arguments, finished):
@@ -116,10 +117,11 @@ def test_a_one_sided_avatar_free_to_stand_off_is_a_plain_one_but_for_colours_no_
 
     monkeypatch.setattr(OneSidedAvatar, "inpaint", once_finished)
     monkeypatch.setattr(OneSidedAvatar, "closed_nearer", {})
+    monkeypatch.setattr(OneSidedAvatar, "_open_share", PlainAvatar._open_share)
     motion, made, free = motion_of("clip", tiny_parameters), {}, copy.deepcopy(tiny_parameters)
     fitting = free["avatars"]["one_sided"]["fitting"]
     fitting |= {"least_pixels": 0.2, "sure_pixels": 0.2}
-    fitting["regularisers"]["near_body"] = 0.0
+    fitting["regularisers"] |= {"near_body": 0.0, "opaque": 0.0}
     for kind in ("plain", "one_sided"):
         warmed = warm(recipe_of(kind, free), few, schedule)
         made[kind] = go_on(warmed, motion, few, schedule)[0]

@@ -22,6 +22,7 @@ from deblur_avatar.artifacts.reference import Reference
 from deblur_avatar.config.reading import missing_file
 from deblur_avatar.config.section import Count, Fraction, Params, Positive
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.frame_numbers import spans
 from deblur_avatar.imaging.resampling import crop_and_scale, undistort
 from deblur_avatar.sources.folders import footage_folder
 from deblur_avatar.sources.source import Segment
@@ -240,7 +241,7 @@ def _warn_of_repeats(pictures: UInt8[Tensor, "F H W 3"], numbers: list[int]) -> 
             "%d frames repeat the picture before them: %s; if the person does not stand still, "
             "keep clip.frames free of them",
             len(repeated),
-            repeated,
+            spans(repeated),
         )
 
 

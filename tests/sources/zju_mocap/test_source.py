@@ -170,4 +170,4 @@ def test_a_picture_that_repeats_is_told(params, root, smpl, caplog):
         shutil.copy(folder / f"000002.{suffix}", folder / f"000003.{suffix}")
     with caplog.at_level(logging.WARNING):
         load_zju_mocap(params(root=str(root)), smpl)
-    assert "1 frames repeat the picture before them: [3]" in caplog.text
+    assert "1 frames repeat the picture before them: 3" in caplog.text
