@@ -64,9 +64,14 @@ class ClosureView:
             position: of the exposure for which it is conditioned.
             step: of fitting, if it is being fitted.
         """
-        still = torch.eye(4, device=rotations.device).expand(1, len(rotations), 4, 4)
+        still = unmoved(avatar)
         state = avatar.condition(rotations, position, still[0], self.camera.viewmat, step)
         return avatar.render(state, still, self.camera).alpha[0][self.inside]
+
+
+def unmoved(avatar: AvatarModel) -> Float[Tensor, "1 J 4 4"]:
+    """Transforms of joints that stay where they are in the canonical pose."""
+    return torch.eye(4, device=avatar.betas.device).expand(1, len(avatar.body.parents), 4, 4)
 
 
 def open_share(coverage: Float[Tensor, " inside"]) -> Float[Tensor, ""]:

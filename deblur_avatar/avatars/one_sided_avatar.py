@@ -26,8 +26,8 @@ and where poses are a little off it makes up for them by reaching in front of th
 which another side sees as fluff. So none reaches farther off than clothes do, unless pictures ask
 for it.
 
-Opacity. Nothing in one side's pictures tells an opaque front from one that lets a sixth of the
-light of the back through, and a fit of many small Gaussians ends there. Then backs are coloured by
+Opacity. Nothing in one side's pictures tells an opaque front from one through which a tenth of the
+light comes from the back, and a fit of many small Gaussians ends there. Then backs are coloured by
 what fronts lack, and from another side both are wrong. So a surface is held to be opaque: from any
 side, what faces it shows, and what turns away does not.
 
@@ -51,7 +51,7 @@ from torch.nn.functional import normalize
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
-from deblur_avatar.avatars.closure import open_share
+from deblur_avatar.avatars.closure import open_share, unmoved
 from deblur_avatar.avatars.gaussians import neighbour_indices
 from deblur_avatar.avatars.limb_bands import LimbPlaces, band_colors, limb_places
 from deblur_avatar.avatars.params import AvatarParams, FittingParams
@@ -173,8 +173,7 @@ class OneSidedAvatar(PlainAvatar):
 
     def _faced(self, look: int, step: TrainingStep) -> SplatState:
         """The canonical avatar, white where it faces the camera of a look and black elsewhere."""
-        viewmat = self._view(look).camera.viewmat
-        still = torch.eye(4, device=self.betas.device).expand(len(self.body.parents), 4, 4)
+        viewmat, still = self._view(look).camera.viewmat, unmoved(self)[0]
         state = self.condition(still[:, :3, :3], 0, still, viewmat, step)
         towards = camera_centres(viewmat) - state.means.detach()
         faces = (self._surface().normals * towards).sum(1) > 0
@@ -183,8 +182,7 @@ class OneSidedAvatar(PlainAvatar):
     def _light(self, look: int, state: SplatState) -> Float[Tensor, " inside"]:
         """Of the pixels of a look that lie well inside the body."""
         view = self._view(look)
-        still = torch.eye(4, device=self.betas.device).expand(1, len(self.body.parents), 4, 4)
-        return self.render(state, still, view.camera).image[0, ..., 0][view.inside]
+        return self.render(state, unmoved(self), view.camera).image[0, ..., 0][view.inside]
 
     def inpaint(
         self,

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deblur_avatar.avatars.avatar import Regularisers, TrainingStep
-from deblur_avatar.avatars.closure import ClosureView, closure_views, open_share
+from deblur_avatar.avatars.closure import ClosureView, closure_views, open_share, unmoved
 from deblur_avatar.avatars.knn_smoothness import knn_smoothness
 from deblur_avatar.avatars.params import AvatarParams, FittingParams, SplatFitting
 from deblur_avatar.avatars.regularisers import elongation
@@ -125,8 +125,8 @@ class PlainAvatar(SplatAvatar):
 
     def _open_share(self, look: int, step: TrainingStep) -> Tensor:
         """How much light passes through the canonical avatar, from one side after the other."""
-        still = torch.eye(3, device=self.betas.device).expand(len(self.body.parents), 3, 3)
-        return LOOKS_EVERY * open_share(self._view(look).coverage(self, still, 0, step))
+        rotations = unmoved(self)[0, :, :3, :3]
+        return LOOKS_EVERY * open_share(self._view(look).coverage(self, rotations, 0, step))
 
     def _view(self, look: int) -> ClosureView:
         """One look at the canonical avatar, from one side after the other."""
