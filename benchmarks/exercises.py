@@ -1,4 +1,4 @@
-"""Poses of people who squat, sit, lie and lean on their hands, estimated from drawn films.
+"""Poses of people who squat, sit, lie, lean and hide their arms, estimated from drawn films.
 
     python -m benchmarks.exercises [--frames 36] [--people 3] [--first 100] [--json FILE]
 
@@ -6,8 +6,9 @@ draws people of known poses before a street, filmed from the side and sharply, f
 MediaPipe and fits the body twice: as if they stood and walked, and in any pose, as for a new clip
 (`preprocess.poses: estimated_in_detail`). Prints JSON, an exercise at a time: joints' mean distance
 from the truth after the best similarity of each frame and after the pelvis was put in place, mm;
-share of believed landmarks that the fit explains; overlap of body and true matte. A quarter of an
-hour of one core for three people, 4 GB; no avatar.
+share of believed landmarks that the fit explains; overlap of body and true matte. Two more hide an
+arm or both: with crossed arms, seen from the side and from behind. Twenty minutes of one core for
+three people, 4 GB; no avatar.
 """
 
 import argparse
@@ -74,27 +75,37 @@ def sitting(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
     return -20 + 15 * depth, {**legs, "shoulder": (0.0, 10.0, -65.0), "elbow": (0.0, -15.0, 0.0)}
 
 
-EXERCISES: Mapping[str, Callable[[Tensor], tuple[Tensor, Degrees]]] = {
+def crossed_arms(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degrees]:
+    """Upright, arms crossed before the chest, legs swinging back and forth."""
+    legs = {"hip": (-25 + 25 * depth, 0.0, 5.0), "knee": (5 + 25 * depth, 0.0, 0.0)}
+    return 0 * depth, {**legs, "shoulder": (0.0, -55.0, -55.0), "elbow": (0.0, -105.0, 0.0)}
+
+
+Exercise = Callable[[Tensor], tuple[Tensor, Degrees]]
+EXERCISES: Mapping[str, Exercise] = {
     "squats": squats,
     "sit_ups": sit_ups,
     "push_ups": push_ups,
     "sitting": sitting,
 }
+HIDING: Mapping[str, Exercise] = {"crossed_sideways": crossed_arms, "crossed_behind": crossed_arms}
+ALL = {**EXERCISES, **HIDING}
+TURNED = {"crossed_behind": 150.0}  # degrees from the camera, of who is not seen sideways
 
 
 def exercising(
     body: Body, betas: Float[Tensor, " B"], name: str, times: Float[Tensor, " M"], phase: float
 ) -> Moves:
-    """An exercise seen from the side, its lowest point on the floor."""
+    """An exercise of `ALL`, its lowest point on the floor."""
     turn = 2 * math.pi * (times / CYCLE + phase)
-    lean, joints = EXERCISES[name]((1 - turn.cos()) / 2)
+    lean, joints = ALL[name]((1 - turn.cos()) / 2)
     pose = torch.zeros(len(times), len(SMPL_JOINT_NAMES) - 1, 3)
     for row, joint in enumerate(SMPL_JOINT_NAMES[1:]):
         signs = MIRRORED if joint.startswith("right_") else (1.0, 1.0, 1.0)
         angles = joints.get(joint.removeprefix("left_").removeprefix("right_"), ())
         for axis, (sign, angle) in enumerate(zip(signs, angles, strict=False)):
             pose[:, row, axis] = sign * torch.deg2rad(torch.as_tensor(angle))
-    away = torch.deg2rad(SIDEWAYS + WOBBLE * (0.7 * turn).sin())
+    away = torch.deg2rad(TURNED.get(name, SIDEWAYS) + WOBBLE * (0.7 * turn).sin())
     around, over = torch.zeros(len(times), 3), torch.zeros(len(times), 3)
     around[:, 1], over[:, 0] = away, torch.deg2rad(lean)
     orient = matrix_to_axis_angle(axis_angle_to_matrix(around) @ axis_angle_to_matrix(over))
@@ -158,7 +169,7 @@ def errors_of(
 def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     """Means over people, by exercise and fit."""
     rows: dict[str, Any] = {}
-    for name in EXERCISES:
+    for name in ALL:
         takes = [errors_of(body, name, seed, frames) for seed in range(first, first + people)]
         rows[name] = {"found": round(sum(found for found, _ in takes) / people, 3)}
         for kind in FITS:

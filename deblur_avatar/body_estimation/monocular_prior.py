@@ -26,6 +26,7 @@ from deblur_avatar.body_estimation.robust_costs import growing, saturating
 from deblur_avatar.body_estimation.triangulation import Triangulated
 
 GUESS_M = 0.12  # standard deviation of a detector's guess of depth
+HIDDEN = 0.3  # how far the guess is believed of a landmark that is not seen (decision 85)
 STANDING_SPEED = 0.12  # heights a second in the picture; slower, and a foot stands
 STANDS_M_S = 0.1  # standard deviation of the speed of a foot that stands
 FEET = (29, 30, 31, 32)  # MediaPipe's heels and toes
@@ -59,7 +60,9 @@ def apply_monocular_prior(
     *,
     any_pose: bool,
 ) -> tuple[Landmarks, OneView]:
-    """Clear a person's landmarks of mistakes and lift them into space (`lift`'s `any_pose`).
+    """Clear a person's landmarks of mistakes and lift them into space.
+
+    In any pose, the guess of what is not seen is believed as well, and `lift` keeps only its depth.
 
     Returns:
         The person with mistakes put right or at no confidence, and what else is known.
@@ -76,7 +79,7 @@ def apply_monocular_prior(
     known = OneView(
         found=found,
         about_hips=guess @ viewmat[:3, :3],  # from the camera's axes to the world's
-        sure=confidences * believed[:, None],
+        sure=(_sure(confidences) if any_pose else confidences) * believed[:, None],
         stands=_standing(person.points[:, rows], confidences, marks, extent, interval),
         trust=trust(track.flags, marks.rows) * person.found,
         flags=track.flags.counts(),
@@ -100,6 +103,15 @@ def standing_cost(
     """Squared speed in space of feet that stand in the picture."""
     speed = (landmarks[1:] - landmarks[:-1]).norm(dim=-1) / (interval * STANDS_M_S)
     return (known.stands * saturating(speed.square())).sum()
+
+
+def _sure(confidences: Float[Tensor, "F L"]) -> Float[Tensor, "F L"]:
+    """Believe the guess of what is hidden a little; of what was found wrong nothing.
+
+    An arm behind the trunk is in no picture. Without its guess it lies wherever the matte hides it,
+    stretched away from the camera as well as bent.
+    """
+    return torch.where(confidences > 0, confidences.clamp(min=HIDDEN), confidences)
 
 
 def _guess(

@@ -21,7 +21,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
-from deblur_avatar.avatars.render import as_filmed, render_avatar
+from deblur_avatar.avatars.render import as_filmed, light_behind, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
@@ -30,6 +30,7 @@ from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.nearest import nearest
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.spacing import evenly_spaced
+from deblur_avatar.imaging.exposure import decode, encode, over
 from deblur_avatar.imaging.overlap import soft_iou
 
 MARGIN = 0.15  # metres that clothes and hair may stand off the body
@@ -148,11 +149,42 @@ def explained_share(
     1 is a perfect render, 0 is as good as the person's mean colour; below that, worse.
     """
     weights, frames = _person(observations, positions)
+    pairs = zip(positions, looks, strict=True)
+    renders = [as_filmed(observations, p, look.image, look.alpha) for p, look in pairs]
+    return _explained(torch.stack(renders), weights, frames)
+
+
+def own_explained_share(
+    observations: Observations, looks: Sequence[Look], positions: Sequence[int]
+) -> float | None:
+    """The same with the person's mean colour behind her, in frames and renders.
+
+    An edge a pixel beside the filmed one is then as wrong as it is unlike the rest of her, not as
+    it is unlike a bright wall. What is not covered explains nothing.
+    """
+    weights, frames = _person(observations, positions)
+    space = observations.averaging_space
+    covered = observations.mattes[list(positions)][..., None].float() / 255
+    hers = decode(frames, space)
+    lights = [light_behind(observations, position, hers.device) for position in positions]
+    behind = [light for light in lights if light is not None]  # of all frames, or of none
+    if behind:
+        hers = hers - (1 - covered) * torch.stack(behind)
+    mean = (weights * hers).sum((0, 1, 2)) / (weights * covered).sum()
+    shown = encode((hers + (1 - covered) * mean).clamp(0, 1), space)
+    ground = mean.expand(hers.shape[1:])
+    renders = [encode(over(decode(look.image, space), look.alpha, ground), space) for look in looks]
+    return _explained(torch.stack(renders), weights, shown)
+
+
+def _explained(
+    renders: Float[Tensor, "S H W 3"],
+    weights: Float[Tensor, "S H W 1"],
+    frames: Float[Tensor, "S H W 3"],
+) -> float | None:
     if not float(weights.sum()):
         return None
     mean = (weights * frames).sum((0, 1, 2)) / weights.sum()
-    pairs = zip(positions, looks, strict=True)
-    renders = torch.stack([as_filmed(observations, p, look.image, look.alpha) for p, look in pairs])
     left = (weights * (renders - frames).square()).sum()
     return float(1 - left / (weights * (frames - mean).square()).sum().clamp(min=1e-9))
 

@@ -4,6 +4,7 @@ The second part of the check: `check` asks before training whether the scene is 
 asks afterwards whether the avatar is one person, and the one that was filmed.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from deblur_avatar.evaluation.avatar_measures import (
     far_share,
     filmed_looks,
     outside_share,
+    own_explained_share,
     parts_inside,
     turntable,
 )
@@ -75,6 +77,10 @@ _SCALES = {
     ),
 }  # fmt: skip
 
+_EDGES = (
+    "Of her own colours enough is explained; her edges, before a background that is unlike her, "
+    "are a pixel or two off, or the masks hold some of it."
+)
 _WIDE = "Masks show as much: clothes are wide, or masks, poses or the focal length are wrong."
 
 
@@ -125,6 +131,8 @@ def self_check(
     findings = {name: judged(_SCALES[name], value) for name, value in values.items()}
     wide = clothes_share(observations, filmed, trained)
     findings["fur_share"] = _unless_wide(findings["fur_share"], wide)
+    own = own_explained_share(observations, explained, aside)
+    findings["explained_share"] = _unless_edges(findings, own)
     content = {
         "verdict": worst(finding.verdict for finding in findings.values()),
         "findings": {name: vars(finding) for name, finding in findings.items()},
@@ -141,3 +149,16 @@ def _unless_wide(fur: Finding, clothes: float) -> Finding:
     if judged(_SCALES["fur_share"], fur.value - clothes).verdict != "ok":
         return fur
     return replace(fur, verdict="warn", advice=f"{_WIDE} {fur.advice}")
+
+
+def _unless_edges(findings: Mapping[str, Finding], own: float | None) -> Finding:
+    """What is explained, a warning at worst where mattes are filled and own colours explained.
+
+    Somebody dark before a bright window varies less in all of her than at an edge a pixel off.
+    """
+    found = findings["explained_share"]
+    if found.verdict != "fail" or own is None or findings["coverage_iou"].verdict != "ok":
+        return found
+    if judged(_SCALES["explained_share"], own).verdict == "fail":
+        return found
+    return replace(found, verdict="warn", advice=f"{_EDGES} {found.advice}")

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from benchmarks.exercises import CYCLE, EXERCISES, exercising
+from benchmarks.exercises import ALL, CYCLE, exercising
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.bodies.posed_body import posed
 
@@ -18,13 +18,16 @@ def joints_and_vertices(body, name):
     return by_name, found.vertices
 
 
-@pytest.mark.parametrize("name", EXERCISES)
+@pytest.mark.parametrize("name", ALL)
 def test_she_touches_the_floor_in_every_frame_and_does_it_again(body, name):
     joints, vertices = joints_and_vertices(body, name)
     torch.testing.assert_close(vertices[..., 1].amin(1), torch.zeros(len(TIMES)), atol=1e-4, rtol=0)
     again = [joint[-1] - joint[0] for joint in joints.values()]
     assert torch.stack(again)[:, 1].abs().max() < 1e-3
-    assert (joints["left_hip"] - joints["right_hip"])[:, 2].abs().min() > 0.05  # seen sideways
+    turned = (joints["left_hip"] - joints["right_hip"])[:, [0, 2]]
+    sideways = turned[:, 1].abs() > 2 * turned[:, 0].abs()
+    assert sideways.all() == (name != "crossed_behind")
+    assert (turned[:, 0] < 0).all() == (name == "crossed_behind")
 
 
 def test_squats_lower_the_pelvis_and_push_ups_the_shoulders(body):
@@ -42,3 +45,13 @@ def test_sit_ups_raise_the_head_from_the_floor(body):
     assert joints["head"][0, 1] < 0.5 * joints["head"][middle, 1]
     assert (joints["left_knee"][:, 1] > joints["left_hip"][:, 1]).all()
     assert (joints["left_knee"][:, 1] > joints["left_ankle"][:, 1]).all()
+
+
+@pytest.mark.parametrize(("name", "axis", "sign"), [("sideways", 0, 1), ("behind", 2, -1)])
+def test_crossed_arms_are_before_the_chest_which_turns_away_from_the_camera(body, name, axis, sign):
+    joints, _ = joints_and_vertices(body, f"crossed_{name}")
+    width = (joints["left_shoulder"] - joints["right_shoulder"]).norm(dim=-1)
+    apart = (joints["left_wrist"] - joints["right_wrist"]).norm(dim=-1)
+    assert (apart < 0.5 * width).all()
+    before = joints["left_wrist"] - joints["spine3"]
+    assert (sign * before[:, axis] > 0.2).all()

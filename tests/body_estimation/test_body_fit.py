@@ -7,7 +7,7 @@ import torch
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import joint_transforms, posed_joints, posed_vertices
-from deblur_avatar.body_estimation import body_fit
+from deblur_avatar.body_estimation import body_fit, monocular_prior
 from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.part_fit import PART_MAP, SPREAD
@@ -341,6 +341,60 @@ def test_who_lies_with_bent_legs_that_are_hardly_believed_is_found_in_any_pose(b
         for any_pose in (False, True)
     )
     assert lying < 0.8 * usual, (usual, lying)
+
+
+HIDDEN_ARM = [13, 15, 17, 19, 21]  # MediaPipe's left elbow, wrist and hand
+
+
+def with_hidden_arm(person: Landmarks) -> Landmarks:
+    """Nobody sees her left arm: the detector says so, and places it at the shoulder."""
+    points, visibility = person.points.clone(), person.visibility.clone()
+    points[:, HIDDEN_ARM], visibility[:, HIDDEN_ARM] = points[:, [11]], 0.01
+    return dataclasses.replace(person, points=points, visibility=visibility)
+
+
+def test_an_arm_that_no_picture_shows_lies_where_it_is_guessed_in_any_pose(
+    body: Body, truth: Poses, monkeypatch: pytest.MonkeyPatch
+):
+    pose = truth.body_pose.clone()
+    pose[:, SMPL_JOINT_NAMES.index("left_elbow") - 1] = torch.tensor([0.0, -1.8, 0.0])
+    bent = dataclasses.replace(truth, body_pose=pose)
+    seen = with_hidden_arm(detect_perfectly(body, bent, CAMERAS, 0))
+    arm = [SMPL_JOINT_NAMES.index(name) for name in ("left_elbow", "left_wrist")]
+
+    def off() -> float:
+        found = posed_joints(body, *motion(fit(body, [seen], (0,), any_pose=True).poses))
+        true = posed_joints(body, *motion(bent))
+        apart = (found - found[:, :1]) - (true - true[:, :1])
+        return float(apart[:, arm].norm(dim=-1).mean())
+
+    guessed = off()
+    monkeypatch.setattr(monocular_prior, "HIDDEN", 0.0)
+    assert guessed < 0.6 * off()
+
+
+def test_the_guess_of_what_is_hidden_is_believed_and_of_mistakes_is_not(
+    body: Body, people: list[Landmarks]
+):
+    seen = with_hidden_arm(dataclasses.replace(people[0], found=people[0].found.clone()))
+    seen.points[5, 28] += torch.tensor([80.0, -60.0])  # the right ankle jumps away and back
+    seen.visibility[:, 26] = 0.6
+    seen.found[0] = False
+    sure = {}
+    for any_pose in (False, True):
+        problem = body_fit._problem(
+            body, CAMERAS, (0,), [seen], torch.arange(FRAMES) / FPS, any_pose
+        )
+        assert problem[0].one is not None
+        rows = problem[0].marks.rows
+        believed = problem[0].one.sure
+        sure[any_pose] = {mark: believed[:, rows.index(mark)] for mark in (13, 15, 26, 28)}
+        assert believed[0].max() == 0
+        assert sure[any_pose][28][5] == 0
+        assert sure[any_pose][26][1:].tolist() == pytest.approx([0.6] * (FRAMES - 1))
+    for mark in (13, 15):
+        assert sure[False][mark][1:].max() == pytest.approx(0.01)
+        assert sure[True][mark][1:].tolist() == pytest.approx([0.3] * (FRAMES - 1))
 
 
 def test_bent_joints_cost_less_in_any_pose_and_those_near_rest_the_same(

@@ -6,6 +6,7 @@ import torch
 
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.artifacts.poses import Poses
+from deblur_avatar.avatars.render import as_filmed
 from deblur_avatar.bodies.posed_body import shaped_joints
 from deblur_avatar.evaluation import avatar_measures
 from deblur_avatar.evaluation.avatar_measures import (
@@ -16,6 +17,7 @@ from deblur_avatar.evaluation.avatar_measures import (
     far_share,
     filmed_looks,
     outside_share,
+    own_explained_share,
     parts_inside,
     turntable,
 )
@@ -139,6 +141,7 @@ def test_an_avatar_that_covers_nothing_has_no_share(avatar, filmed, motion):
 def test_a_perfect_avatar_explains_everything_and_the_mean_colour_nothing(avatar, filmed, motion):
     looks = filmed_looks(avatar, filmed, motion, TRAIN)
     assert explained_share(filmed, looks, TRAIN) > 0.99
+    assert own_explained_share(filmed, looks, TRAIN) > 0.99
     assert coverage_iou(filmed, looks, TRAIN) > 0.97
     weights = filmed.mattes[TRAIN].float()[..., None] / 255
     mean = (weights * filmed.frames[TRAIN].float() / 255).sum((0, 1, 2)) / weights.sum()
@@ -148,10 +151,37 @@ def test_a_perfect_avatar_explains_everything_and_the_mean_colour_nothing(avatar
     assert explained_share(filmed, wrong, TRAIN) < 0
 
 
+def darkened(look, along):
+    """A look at somebody dark, so many pixels to the right."""
+    image, alpha = (torch.roll(part, along, dims=1) for part in (0.2 * look.image, look.alpha))
+    return dataclasses.replace(look, image=image, alpha=alpha)
+
+
+def test_before_a_bright_wall_an_edge_a_pixel_off_says_little_of_who_is_dark(
+    avatar, filmed, motion
+):
+    looks = [darkened(look, 0) for look in filmed_looks(avatar, filmed, motion, TRAIN)]
+    wall = torch.full_like(filmed.frames[:1], 255)
+    lit = dataclasses.replace(filmed, backgrounds=wall)
+    frames = [as_filmed(lit, p, one.image, one.alpha) for p, one in zip(TRAIN, looks, strict=True)]
+    lit.frames[TRAIN] = (255 * torch.stack(frames)).round().to(torch.uint8)
+    beside = [darkened(look, 1) for look in filmed_looks(avatar, filmed, motion, TRAIN)]
+    assert explained_share(lit, looks, TRAIN) > 0.99
+    assert own_explained_share(lit, looks, TRAIN) > 0.99
+    assert explained_share(lit, beside, TRAIN) < 0.3
+    assert own_explained_share(lit, beside, TRAIN) > 0.8
+    nobody = [dataclasses.replace(one, alpha=0 * one.alpha, image=0 * one.image) for one in looks]
+    assert own_explained_share(lit, nobody, TRAIN) == pytest.approx(0, abs=0.05)
+    assert explained_share(lit, nobody, TRAIN) < -1
+    inverted = [dataclasses.replace(one, image=one.alpha[..., None] - one.image) for one in looks]
+    assert own_explained_share(lit, inverted, TRAIN) < 0
+
+
 def test_pixels_that_cannot_be_compared_explain_nothing(avatar, filmed, motion):
     looks = filmed_looks(avatar, filmed, motion, TRAIN)
     none = dataclasses.replace(filmed, comparable=torch.zeros_like(filmed.mattes))
     assert explained_share(none, looks, TRAIN) is None
+    assert own_explained_share(none, looks, TRAIN) is None
 
 
 def test_a_limb_that_the_masks_do_not_confirm_is_found(filmed, motion):

@@ -86,6 +86,31 @@ def test_fur_beyond_wide_clothes_is_held_to_what_is_ok(
     assert asked == [(True, len(filmed.train), list(filmed.train))]
 
 
+@pytest.mark.parametrize(
+    ("filmed_share", "own", "coverage", "verdict"),
+    [
+        (-0.1, 0.4, 0.9, "warn"),
+        (-0.1, 0.7, 0.76, "warn"),
+        (-0.1, 0.2, 0.9, "fail"),
+        (-0.1, None, 0.9, "fail"),
+        (-0.1, 0.7, 0.7, "fail"),
+        (0.4, 0.9, 0.9, "warn"),
+        (0.7, 0.1, 0.9, "ok"),
+    ],
+)
+def test_edges_before_a_background_unlike_her_only_warn_where_her_colours_are_explained(
+    filmed, avatar, motion, monkeypatch, filmed_share, own, coverage, verdict
+):
+    monkeypatch.setattr(checking, "explained_share", lambda *_: filmed_share)
+    monkeypatch.setattr(checking, "own_explained_share", lambda *_: own)
+    monkeypatch.setattr(checking, "coverage_iou", lambda *_: coverage)
+    content = self_check(filmed, avatar.to_artifact(1), motion, CPU).content
+    found = content["findings"]["explained_share"]
+    assert (found["value"], found["verdict"]) == (filmed_share, verdict)
+    softened = filmed_share < 0.3 and verdict == "warn"
+    assert ("Of her own colours" in found["advice"]) == softened
+
+
 def test_a_body_of_another_place_fails(filmed, avatar, motion):
     beside = dataclasses.replace(
         motion, centre=dataclasses.replace(motion.centre, transl=motion.centre.transl + 0.6),
