@@ -41,7 +41,7 @@ from deblur_avatar.sources.studio.motion import Moves
 from deblur_avatar.sources.studio.person import create_person
 
 FPS, CYCLE = 12.0, 2.5  # frames a second; seconds from one repetition to the next
-SIDEWAYS, WOBBLE = 75.0, 8.0  # degrees that a person is turned from the camera, and more
+SIDEWAYS, BEHIND, WOBBLE = 75.0, 150.0, 8.0  # degrees from the camera, and how far it varies
 FITS = {"standing": False, "any pose": True}
 FIRST = 100  # person who is drawn: settings were chosen on those from 0 on
 
@@ -81,31 +81,38 @@ def crossed_arms(depth: Float[Tensor, " M"]) -> tuple[Float[Tensor, " M"], Degre
     return 0 * depth, {**legs, "shoulder": (0.0, -55.0, -55.0), "elbow": (0.0, -105.0, 0.0)}
 
 
-Exercise = Callable[[Tensor], tuple[Tensor, Degrees]]
+class Exercise(NamedTuple):
+    """What somebody does, and how far turned from the camera."""
+
+    moves: Callable[[Tensor], tuple[Tensor, Degrees]]
+    away: float  # degrees
+    hides: bool  # an arm, or both
+
+
 EXERCISES: Mapping[str, Exercise] = {
-    "squats": squats,
-    "sit_ups": sit_ups,
-    "push_ups": push_ups,
-    "sitting": sitting,
+    "squats": Exercise(squats, SIDEWAYS, hides=False),
+    "sit_ups": Exercise(sit_ups, SIDEWAYS, hides=False),
+    "push_ups": Exercise(push_ups, SIDEWAYS, hides=False),
+    "sitting": Exercise(sitting, SIDEWAYS, hides=False),
+    "crossed_sideways": Exercise(crossed_arms, SIDEWAYS, hides=True),
+    "crossed_behind": Exercise(crossed_arms, BEHIND, hides=True),
 }
-HIDING: Mapping[str, Exercise] = {"crossed_sideways": crossed_arms, "crossed_behind": crossed_arms}
-ALL = {**EXERCISES, **HIDING}
-TURNED = {"crossed_behind": 150.0}  # degrees from the camera, of who is not seen sideways
 
 
 def exercising(
     body: Body, betas: Float[Tensor, " B"], name: str, times: Float[Tensor, " M"], phase: float
 ) -> Moves:
-    """An exercise of `ALL`, its lowest point on the floor."""
+    """An exercise of `EXERCISES`, its lowest point on the floor."""
     turn = 2 * math.pi * (times / CYCLE + phase)
-    lean, joints = ALL[name]((1 - turn.cos()) / 2)
+    exercise = EXERCISES[name]
+    lean, joints = exercise.moves((1 - turn.cos()) / 2)
     pose = torch.zeros(len(times), len(SMPL_JOINT_NAMES) - 1, 3)
     for row, joint in enumerate(SMPL_JOINT_NAMES[1:]):
         signs = MIRRORED if joint.startswith("right_") else (1.0, 1.0, 1.0)
         angles = joints.get(joint.removeprefix("left_").removeprefix("right_"), ())
         for axis, (sign, angle) in enumerate(zip(signs, angles, strict=False)):
             pose[:, row, axis] = sign * torch.deg2rad(torch.as_tensor(angle))
-    away = torch.deg2rad(TURNED.get(name, SIDEWAYS) + WOBBLE * (0.7 * turn).sin())
+    away = torch.deg2rad(exercise.away + WOBBLE * (0.7 * turn).sin())
     around, over = torch.zeros(len(times), 3), torch.zeros(len(times), 3)
     around[:, 1], over[:, 0] = away, torch.deg2rad(lean)
     orient = matrix_to_axis_angle(axis_angle_to_matrix(around) @ axis_angle_to_matrix(over))
@@ -169,7 +176,7 @@ def errors_of(
 def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     """Means over people, by exercise and fit."""
     rows: dict[str, Any] = {}
-    for name in ALL:
+    for name in EXERCISES:
         takes = [errors_of(body, name, seed, frames) for seed in range(first, first + people)]
         rows[name] = {"found": round(sum(found for found, _ in takes) / people, 3)}
         for kind in FITS:

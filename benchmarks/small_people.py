@@ -77,7 +77,8 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     for height in HEIGHTS:
         takes = [
             found(body, name, seed, frames, height)
-            for name in EXERCISES
+            for name, exercise in EXERCISES.items()
+            if not exercise.hides
             for seed in range(first, first + people)
         ]
         rows[str(height)] = {

@@ -81,7 +81,15 @@ def as_filmed(
         alpha: coverage.
     """
     behind = light_behind(observations, position, image.device)
-    if behind is None:
-        return image
-    space = observations.averaging_space
-    return encode(over(decode(image, space), alpha, behind), space)
+    return image if behind is None else before(behind, image, alpha, observations.averaging_space)
+
+
+def before(
+    behind: Float[Tensor, "H W 3"],
+    image: Float[Tensor, "H W 3"],
+    alpha: Float[Tensor, "H W"],
+    averaging_space: str,
+) -> Float[Tensor, "H W 3"]:
+    """Composite a render, sRGB on black, before light that is behind it; sRGB in [0, 1]."""
+    light = over(decode(image, averaging_space), alpha, behind)
+    return encode(light, averaging_space)

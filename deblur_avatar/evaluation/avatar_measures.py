@@ -21,7 +21,7 @@ from deblur_avatar.artifacts.motion import Motion
 from deblur_avatar.artifacts.observations import Observations
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.avatars.avatar import AvatarModel
-from deblur_avatar.avatars.render import as_filmed, light_behind, render_avatar
+from deblur_avatar.avatars.render import as_filmed, before, light_behind, render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.bodies.triangle_joints import triangle_joints
 from deblur_avatar.evaluation.body_silhouette import body_triangles, silhouette_distance
@@ -30,7 +30,7 @@ from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.geometry.nearest import nearest
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix
 from deblur_avatar.geometry.spacing import evenly_spaced
-from deblur_avatar.imaging.exposure import decode, encode, over
+from deblur_avatar.imaging.exposure import decode, encode
 from deblur_avatar.imaging.overlap import soft_iou
 
 MARGIN = 0.15  # metres that clothes and hair may stand off the body
@@ -164,7 +164,7 @@ def own_explained_share(
     """
     weights, frames = _person(observations, positions)
     space = observations.averaging_space
-    covered = observations.mattes[list(positions)][..., None].float() / 255
+    covered = _mattes(observations, positions)[..., None]
     hers = decode(frames, space)
     lights = [light_behind(observations, position, hers.device) for position in positions]
     behind = [light for light in lights if light is not None]  # of all frames, or of none
@@ -173,7 +173,7 @@ def own_explained_share(
     mean = (weights * hers).sum((0, 1, 2)) / (weights * covered).sum()
     shown = encode((hers + (1 - covered) * mean).clamp(0, 1), space)
     ground = mean.expand(hers.shape[1:])
-    renders = [encode(over(decode(look.image, space), look.alpha, ground), space) for look in looks]
+    renders = [before(ground, look.image, look.alpha, space) for look in looks]
     return _explained(torch.stack(renders), weights, shown)
 
 
@@ -194,19 +194,22 @@ def _person(
 ) -> tuple[Float[Tensor, "S H W 1"], Float[Tensor, "S H W 3"]]:
     """Some frames, and how much of each pixel is the person's and comparable."""
     index = list(positions)
-    weights = observations.mattes[index].float() / 255
+    weights = _mattes(observations, positions)
     if observations.comparable is not None:
         weights = weights * observations.comparable[index].float() / 255
     return weights[..., None], observations.frames[index].float() / 255
+
+
+def _mattes(observations: Observations, positions: Sequence[int]) -> Float[Tensor, "S H W"]:
+    return observations.mattes[list(positions)].float() / 255
 
 
 def coverage_iou(
     observations: Observations, looks: Sequence[Look], positions: Sequence[int]
 ) -> float | None:
     """Soft intersection over union of the avatar's coverage and the mattes."""
-    mattes = observations.mattes[list(positions)].float() / 255
     alphas = torch.stack([look.alpha for look in looks])
-    return soft_iou(mattes, alphas)
+    return soft_iou(_mattes(observations, positions), alphas)
 
 
 def parts_inside(

@@ -4,8 +4,9 @@ The second part of the check: `check` asks before training whether the scene is 
 asks afterwards whether the avatar is one person, and the one that was filmed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -129,9 +130,9 @@ def self_check(
         "seen_share": 1 - observations.occluded_fraction,
     }
     findings = {name: judged(_SCALES[name], value) for name, value in values.items()}
-    wide = clothes_share(observations, filmed, trained)
-    findings["fur_share"] = _unless_wide(findings["fur_share"], wide)
-    own = own_explained_share(observations, explained, aside)
+    clothes = partial(clothes_share, observations, filmed, trained)
+    findings["fur_share"] = _unless_wide(findings["fur_share"], clothes)
+    own = partial(own_explained_share, observations, explained, aside)
     findings["explained_share"] = _unless_edges(findings, own)
     content = {
         "verdict": worst(finding.verdict for finding in findings.values()),
@@ -142,23 +143,24 @@ def self_check(
     return SelfCheck(content, dict(zip(trained, filmed, strict=True)), sides)
 
 
-def _unless_wide(fur: Finding, clothes: float) -> Finding:
+def _unless_wide(fur: Finding, clothes: Callable[[], float]) -> Finding:
     """Fur, a warning at worst where what exceeds the masks' share is ok."""
     if fur.verdict != "fail" or fur.value is None:
         return fur
-    if judged(_SCALES["fur_share"], fur.value - clothes).verdict != "ok":
+    if judged(_SCALES["fur_share"], fur.value - clothes()).verdict != "ok":
         return fur
     return replace(fur, verdict="warn", advice=f"{_WIDE} {fur.advice}")
 
 
-def _unless_edges(findings: Mapping[str, Finding], own: float | None) -> Finding:
+def _unless_edges(findings: Mapping[str, Finding], own: Callable[[], float | None]) -> Finding:
     """What is explained, a warning at worst where mattes are filled and own colours explained.
 
     Somebody dark before a bright window varies less in all of her than at an edge a pixel off.
     """
     found = findings["explained_share"]
-    if found.verdict != "fail" or own is None or findings["coverage_iou"].verdict != "ok":
+    if found.verdict != "fail" or findings["coverage_iou"].verdict != "ok":
         return found
-    if judged(_SCALES["explained_share"], own).verdict == "fail":
+    share = own()
+    if share is None or judged(_SCALES["explained_share"], share).verdict == "fail":
         return found
     return replace(found, verdict="warn", advice=f"{_EDGES} {found.advice}")
