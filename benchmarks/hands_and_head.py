@@ -29,6 +29,7 @@ from deblur_avatar.bodies.posed_body import joint_transforms
 from deblur_avatar.body_estimation.body_fit import fit_body
 from deblur_avatar.body_estimation.landmark_track import clean, size_in_pictures
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
+from deblur_avatar.body_estimation.pace import pace_of
 from deblur_avatar.body_estimation.part_fit import gather_parts
 from deblur_avatar.body_estimation.part_landmarks import detect_parts
 from deblur_avatar.geometry.rotations import matrix_to_axis_angle
@@ -112,7 +113,8 @@ def found_in(person: Landmarks) -> Float[Tensor, "F 3"]:
     """How sure it is, by frame, where each part is."""
     count = len(person.found)
     size = size_in_pictures([person], any_pose=True)
-    parts = gather_parts([clean(person, 1 / FPS, size).person], torch.ones(1, count, 3).bool())
+    pace = pace_of(torch.arange(count) / FPS)
+    parts = gather_parts([clean(person, pace, size).person], torch.ones(1, count, 3).bool())
     return torch.zeros(count, 3) if parts is None else parts.weights[0]
 
 

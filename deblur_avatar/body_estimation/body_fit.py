@@ -30,6 +30,7 @@ from deblur_avatar.body_estimation.monocular_prior import (
     guess_cost,
     standing_cost,
 )
+from deblur_avatar.body_estimation.pace import Pace, pace_of, second_differences
 from deblur_avatar.body_estimation.part_fit import (
     PART_LANDMARKS,
     PART_MAP,
@@ -130,7 +131,7 @@ class _Problem:
     outlines: Silhouettes
     orient: Float[Tensor, "F 3 3"]  # first guess
     basis: Float[Tensor, "F D"]  # frames from control values
-    interval: float  # seconds between frames
+    pace: Pace
     extent: float  # the person's size in the pictures, pixels
     any_pose: bool
 
@@ -200,12 +201,12 @@ def _problem(
     """What is known before the body is fitted, and a first guess of the root's control points."""
     marks = landmark_map()
     rows, views = list(marks.rows), list(recorded)
-    interval = float(timestamps.diff().median()) if len(timestamps) > 1 else 1.0
-    basis = spline_basis(timestamps, interval, KNOT_SECONDS)
+    pace = pace_of(timestamps)
+    basis = spline_basis(pace, KNOT_SECONDS)
     extent, one = size_in_pictures(people, any_pose=any_pose), None
     if len(recorded) == 1:
         person, one = apply_monocular_prior(
-            body, marks, people[0], cameras, recorded[0], basis, extent, interval,
+            body, marks, people[0], cameras, recorded[0], basis, extent, pace,
             any_pose=any_pose,
         )  # fmt: skip
         people = [person]
@@ -237,7 +238,7 @@ def _problem(
         outlines=silhouettes([person.mattes for person in people]),
         orient=orient,
         basis=basis,
-        interval=interval,
+        pace=pace,
         extent=extent,
         any_pose=any_pose,
     )
@@ -294,7 +295,7 @@ def _solve(problem: _Problem, transl: Float[Tensor, "D 3"]) -> _Unknowns:
         loss = _priors(problem, unknowns, posed)
         if problem.one is not None:
             loss = loss + guess_cost(problem.one, problem.marks, posed.landmarks)
-            loss = loss + standing_cost(problem.one, posed.landmarks, problem.interval)
+            loss = loss + standing_cost(problem.one, posed.landmarks, problem.pace)
         if problem.parts is not None:
             places = PART_MAP.positions(posed.transforms, posed.rest, unknowns.part_offsets)
             # From the rest pose every palm looks the wrong way.
@@ -376,17 +377,13 @@ def _priors(problem: _Problem, unknowns: _Unknowns, posed: _Posed) -> Float[Tens
         relaxed = growing(relaxed)
     away = (unknowns.offsets - marks.offsets) / marks.stds[:, None]
     part_away = (unknowns.part_offsets - PART_MAP.offsets) / PART_MAP.stds[:, None]
-    step = problem.interval**2
-    acceleration = _second_difference(posed.joints) / (ACCELERATION * step)
+    pace, step = problem.pace, problem.pace.interval**2
+    acceleration = second_differences(posed.joints, pace) / (ACCELERATION * step)
     rotations = torch.cat([posed.turn[:, None], pose], dim=1)
-    angular = _second_difference(rotations) / (ANGULAR_ACCELERATION * step)
+    angular = second_differences(rotations, pace) / (ANGULAR_ACCELERATION * step)
     # What is one for the clip is weighed against as many measurements as there are frames.
     shape = len(pose) ** 0.5 * SHAPE_TRUST * unknowns.betas
     offsets = len(pose) ** 0.5 * OFFSET_TRUST * torch.cat([away, part_away])
     squares = [term.square() for term in (shape, offsets)] + [relaxed]
     squares += [term.square() for term in (beyond / BEYOND_LIMIT, acceleration, angular)]
     return torch.stack([square.sum() for square in squares]).sum()
-
-
-def _second_difference(values: Float[Tensor, "F D 3"]) -> Float[Tensor, "G D 3"]:
-    return values[2:] - 2 * values[1:-1] + values[:-2]

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES, Body
 from deblur_avatar.body_estimation.body_landmarks import TORSO, LandmarkMap
+from deblur_avatar.body_estimation.pace import Pace
 from deblur_avatar.body_estimation.triangulation import Triangulated
 from deblur_avatar.errors import ArtifactError
-
-SAME_PLACE = 2  # decimals of a frame to which times are rounded: clocks are not that good
 
 
 def first_guess(
@@ -48,18 +47,14 @@ def first_guess(
     return orient, torch.linalg.pinv(basis) @ transl
 
 
-def spline_basis(
-    timestamps: Float[Tensor, " F"], interval: float, knot_seconds: float
-) -> Float[Tensor, "F D"]:
+def spline_basis(pace: Pace, knot_seconds: float) -> Float[Tensor, "F D"]:
     """What each control value of a uniform cubic B-spline adds to each frame.
 
     Args:
-        timestamps: of the frames, seconds, at any spacing.
-        interval: seconds from frame to frame, as a rule.
+        pace: of the frames, at any spacing.
         knot_seconds: between two knots; rounded to whole frames.
     """
-    spacing = max(1, round(knot_seconds / interval))
-    places = ((timestamps - timestamps[0]).double() / interval).round(decimals=SAME_PLACE)
+    spacing, places = max(1, round(knot_seconds / pace.interval)), pace.places
     last = max(1, -(-float(places[-1]) // spacing)) if len(places) > 1 else 0
     knots = torch.arange(-3, int(last) + 4, dtype=torch.float64).numpy()
     dense = BSpline.design_matrix((places / spacing).numpy(), knots, 3).toarray()

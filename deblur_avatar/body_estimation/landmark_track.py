@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+from deblur_avatar.body_estimation.pace import Pace
 
 MIRRORED = (0, 4, 5, 6, 1, 2, 3, *(mark + (1 if mark % 2 else -1) for mark in range(7, COUNT)))
 ARMS, LEGS = tuple(range(11, 23)), tuple(range(23, 33))
@@ -24,7 +25,7 @@ LOST = 0.35  # visibility below which a landmark counts as lost
 SWAP_COST = 0.02  # a frame: exchanging sides must win more than this in smoothness
 FAST = 3.5  # sizes a second: faster, and a detection is suspect
 JUMP_COST = 0.15  # what leaving out one detection costs, in excess sizes
-GAP = 10  # frames a landmark may be gone before its track starts anew
+GAP = 10  # frame intervals that a landmark may be gone before its track starts anew
 
 
 class Flags(NamedTuple):
@@ -69,12 +70,12 @@ def size_in_pictures(people: Sequence[Landmarks], *, any_pose: bool) -> float:
     return float(found.median().clamp(min=1.0)) if len(found) else 1.0
 
 
-def clean(person: Landmarks, interval: float, size: float) -> CleanTrack:
+def clean(person: Landmarks, pace: Pace, size: float) -> CleanTrack:
     """Put right and flag the landmarks of a clip.
 
     Args:
         person: as detected, no smoothing over time.
-        interval: seconds between frames.
+        pace: of the frames.
         size: of the person in the picture, pixels.
     """
     points = person.points.numpy().astype(np.float64) / size
@@ -85,16 +86,17 @@ def clean(person: Landmarks, interval: float, size: float) -> CleanTrack:
     points = _exchanged(points, swapped)
     visibility = _exchanged(visibility[..., None], swapped)[..., 0]
     lost = visibility < LOST
+    places = pace.places.numpy()
     jumped = np.zeros_like(lost)
     for mark in range(COUNT):
-        jumped[:, mark] = _jumps(points[:, mark], ~lost[:, mark], interval)
+        jumped[:, mark] = _jumps(points[:, mark], ~lost[:, mark], pace)
     bad = lost | jumped
-    filled = np.stack([_filled(points[:, m], ~bad[:, m]) for m in range(COUNT)], axis=1)
+    filled = np.stack([_filled(points[:, m], ~bad[:, m], places) for m in range(COUNT)], axis=1)
     world = person.world
     if world is not None:
         exchanged = _exchanged(world.numpy().astype(np.float64), swapped)
         world = torch.from_numpy(
-            np.stack([_filled(exchanged[:, m], ~bad[:, m]) for m in range(COUNT)], axis=1)
+            np.stack([_filled(exchanged[:, m], ~bad[:, m], places) for m in range(COUNT)], axis=1)
         ).float()
     cleaned = replace(
         person,
@@ -151,7 +153,7 @@ def _swapped_frames(
 
 
 def _jumps(
-    points: Float[np.ndarray, "F 2"], seen: Bool[np.ndarray, " F"], interval: float
+    points: Float[np.ndarray, "F 2"], seen: Bool[np.ndarray, " F"], pace: Pace
 ) -> Bool[np.ndarray, " F"]:
     """Detections that the cheapest way through the others leaves out.
 
@@ -159,6 +161,7 @@ def _jumps(
     out costs as well, so that a real kick stays and a jump there and back does not.
     """
     frames = np.flatnonzero(seen)
+    places = pace.places.numpy()[frames]
     if len(frames) < 3:
         return np.zeros(len(points), bool)
     best = np.zeros(len(frames))
@@ -169,10 +172,10 @@ def _jumps(
         earlier = np.arange(low, here)
         if not len(earlier):
             continue
-        time = (frames[here] - frames[earlier]) * interval
+        time = (places[here] - places[earlier]) * pace.interval
         way = np.linalg.norm(points[frames[here]] - points[frames[earlier]], axis=-1)
         # After a long loss a new track begins, wherever it is.
-        excess = np.where(time > GAP * interval, 0.0, (way - FAST * time).clip(0))
+        excess = np.where(time > GAP * pace.interval, 0.0, (way - FAST * time).clip(0))
         cost = best[earlier] + excess + JUMP_COST * (here - earlier - 1)
         if cost.min() < best[here]:
             best[here], before[here] = cost.min(), earlier[cost.argmin()]
@@ -185,10 +188,12 @@ def _jumps(
 
 
 def _filled(
-    values: Float[np.ndarray, "F C"], good: Bool[np.ndarray, " F"]
+    values: Float[np.ndarray, "F C"],
+    good: Bool[np.ndarray, " F"],
+    places: Float[np.ndarray, " F"],
 ) -> Float[np.ndarray, "F C"]:
-    """What is not good becomes the straight line between its good neighbours."""
+    """What is not good becomes the straight line, over time, between its good neighbours."""
     if not good.any():
         return values
-    frames, known = np.arange(len(values)), np.flatnonzero(good)
-    return np.stack([np.interp(frames, known, column[good]) for column in values.T], axis=-1)
+    known = places[good]
+    return np.stack([np.interp(places, known, column[good]) for column in values.T], axis=-1)

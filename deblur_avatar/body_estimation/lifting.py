@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deblur_avatar.body_estimation.landmark_track import sizes
+from deblur_avatar.body_estimation.pace import Pace, second_differences
 from deblur_avatar.body_estimation.triangulation import Triangulated
 
 DEPTH_ACCELERATION = 3.0  # m/s^2: how fast a person's distance as a whole changes its speed
@@ -27,7 +28,7 @@ def lift(
     viewmat: Float[Tensor, "4 4"],
     basis: Float[Tensor, "F D"],
     extent: float,
-    interval: float,
+    pace: Pace,
     *,
     any_pose: bool,
 ) -> Triangulated:
@@ -44,7 +45,7 @@ def lift(
         viewmat: world to camera.
         basis: frames from control values.
         extent: the person's size in the picture, pixels.
-        interval: seconds between frames.
+        pace: of the frames.
         any_pose: the person may lie, of which detectors guess the shape worse than the picture: of
             the guess only depth is kept, and points lie on the rays to where they are seen.
 
@@ -63,7 +64,7 @@ def lift(
     sigma = PIXEL_SHARE * extent * depth
     way = torch.zeros(len(pixels), 3).double()
     for _ in range(ROUNDS):
-        way = _smooth_way(rows / sigma, right / sigma, weights, basis, interval)
+        way = _smooth_way(rows / sigma, right / sigma, weights, basis, pace)
         errors = ((rows @ way[:, None, :, None])[..., 0] - right).norm(dim=-1)
         weights = confidences.double() / (1 + (errors / sigma).square())
     points = guess + way[:, None]
@@ -104,7 +105,7 @@ def _smooth_way(
     right: Float[Tensor, "F L 2"],
     weights: Float[Tensor, "F L"],
     basis: Float[Tensor, "F D"],
-    interval: float,
+    pace: Pace,
 ) -> Float[Tensor, "F 3"]:
     """Weighted least squares for a spline's control values, kept from accelerating."""
     frames, knots = basis.shape
@@ -112,7 +113,7 @@ def _smooth_way(
     target = torch.einsum("flai,fl,fla->fi", rows, weights, right)
     system = torch.einsum("fd,fij,fe->diej", basis, normal, basis)
     if frames > 2:
-        bends = (basis[2:] - 2 * basis[1:-1] + basis[:-2]) / (DEPTH_ACCELERATION * interval**2)
+        bends = second_differences(basis, pace) / (DEPTH_ACCELERATION * pace.interval**2)
         stiff = bends.T @ bends
         # Sideways the picture says where the hips are; only their depth needs holding.
         system[:, 2, :, 2] += stiff

@@ -22,6 +22,7 @@ from deblur_avatar.body_estimation.landmark_track import (
 )
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.lifting import lift
+from deblur_avatar.body_estimation.pace import Pace
 from deblur_avatar.body_estimation.robust_costs import growing, saturating
 from deblur_avatar.body_estimation.triangulation import Triangulated
 
@@ -56,7 +57,7 @@ def apply_monocular_prior(
     camera: int,
     basis: Float[Tensor, "F D"],
     extent: float,
-    interval: float,
+    pace: Pace,
     *,
     any_pose: bool,
 ) -> tuple[Landmarks, OneView]:
@@ -67,20 +68,20 @@ def apply_monocular_prior(
     Returns:
         The person with mistakes put right or at no confidence, and what else is known.
     """
-    track: CleanTrack = clean(person, interval, extent)
+    track: CleanTrack = clean(person, pace, extent)
     person, rows = track.person, list(marks.rows)
     K, viewmat = cameras.Ks[camera], cameras.viewmats[camera]
     guess, believed = _guess(body, marks, person)
     confidences = person.visibility[:, rows]
     found = lift(
-        person.points[:, rows], confidences, guess, K, viewmat, basis, extent, interval,
+        person.points[:, rows], confidences, guess, K, viewmat, basis, extent, pace,
         any_pose=any_pose,
     )  # fmt: skip
     known = OneView(
         found=found,
         about_hips=guess @ viewmat[:3, :3],  # from the camera's axes to the world's
         sure=(_sure(confidences) if any_pose else confidences) * believed[:, None],
-        stands=_standing(person.points[:, rows], confidences, marks, extent, interval),
+        stands=_standing(person.points[:, rows], confidences, marks, extent, pace),
         trust=trust(track.flags, marks.rows) * person.found,
         flags=track.flags.counts(),
     )
@@ -98,10 +99,11 @@ def guess_cost(
 
 
 def standing_cost(
-    known: OneView, landmarks: Float[Tensor, "F L 3"], interval: float
+    known: OneView, landmarks: Float[Tensor, "F L 3"], pace: Pace
 ) -> Float[Tensor, ""]:
     """Squared speed in space of feet that stand in the picture."""
-    speed = (landmarks[1:] - landmarks[:-1]).norm(dim=-1) / (interval * STANDS_M_S)
+    way = (landmarks[1:] - landmarks[:-1]).norm(dim=-1)
+    speed = way / (pace.steps.to(way.dtype)[:, None] * (pace.interval * STANDS_M_S))
     return (known.stands * saturating(speed.square())).sum()
 
 
@@ -158,10 +160,11 @@ def _standing(
     confidences: Float[Tensor, "F L"],
     marks: LandmarkMap,
     extent: float,
-    interval: float,
+    pace: Pace,
 ) -> Bool[Tensor, "G L"]:
     """Landmarks of feet that stand still in the picture, over two steps in a row."""
-    speed = (pixels[1:] - pixels[:-1]).norm(dim=-1) / (extent * interval)
+    way = (pixels[1:] - pixels[:-1]).norm(dim=-1)
+    speed = way / (pace.steps.to(way.dtype)[:, None] * (extent * pace.interval))
     seen = torch.minimum(confidences[1:], confidences[:-1]) > 0.5
     slow = (speed < STANDING_SPEED) & seen
     feet = torch.tensor([row in FEET for row in marks.rows])

@@ -190,6 +190,23 @@ def test_in_one_view_jumps_and_losses_are_bridged_and_trusted_less(
     assert steps["speed_ratio"] < 3
 
 
+@pytest.mark.parametrize("views", [(0,), ALL], ids=["one view", "four"])
+def test_poses_beside_a_gap_in_time_are_as_good_as_elsewhere(body: Body, views: tuple[int, ...]):
+    """A second is missing, in which she went on for a metre and turned by a radian."""
+    there = [*range(8), *range(68, 76)]
+    walked = walking_poses(body, 76).at(there)
+    middle = walked.transl.mean(0) * torch.tensor([1.0, 0, 0])
+    truth = dataclasses.replace(
+        walked,
+        global_orient=walked.global_orient * torch.tensor([0.0, 0.5, 0.0]),
+        transl=walked.transl - middle,
+    )
+    seen = [detect_perfectly(body, truth, CAMERAS, camera) for camera in views]
+    found = fit_body(body, CAMERAS, views, seen, torch.tensor(there) / FPS)
+    errors = found.residuals.mean((0, 2)) / found.extent
+    assert errors[7:9].mean() < 1.5 * errors[[*range(5), *range(11, 16)]].mean() + 1e-3
+
+
 def test_one_view_without_a_guess_of_depth_still_faces_the_right_way(
     body: Body, truth: Poses, people: list[Landmarks]
 ):

@@ -13,8 +13,10 @@ from deblur_avatar.body_estimation.landmark_track import (
     trust,
 )
 from deblur_avatar.body_estimation.landmarks import COUNT, Landmarks
+from deblur_avatar.body_estimation.pace import pace_of
 
-FRAMES, INTERVAL = 20, 1 / 25
+FRAMES = 20
+PACE = pace_of(torch.arange(FRAMES) / 25)
 
 
 @pytest.fixture
@@ -36,7 +38,7 @@ def walker() -> Landmarks:
 
 
 def cleaned(person: Landmarks) -> CleanTrack:
-    return clean(person, INTERVAL, size_in_pictures([person], any_pose=False))
+    return clean(person, PACE, size_in_pictures([person], any_pose=False))
 
 
 def changed(person: Landmarks, frames, marks, points) -> Landmarks:
@@ -130,5 +132,20 @@ def test_fast_is_by_the_size_that_is_given(walker: Landmarks):
     """Who lies moves no faster for being short: what is a jump of a height is none of a length."""
     away = walker.points[9, 15] + torch.tensor([250.0, -200])
     moved = changed(walker, 9, 15, away)
-    assert clean(moved, INTERVAL, 600.0).flags.jumped.any()
-    assert not clean(moved, INTERVAL, 3000.0).flags.jumped.any()
+    assert clean(moved, PACE, 600.0).flags.jumped.any()
+    assert not clean(moved, PACE, 3000.0).flags.jumped.any()
+
+
+def test_a_gap_in_time_is_no_jump_and_what_is_lost_in_it_lies_on_the_way(walker: Landmarks):
+    """She went on in the frames that are missing, by most of her height in a fifth of a second."""
+    times = torch.arange(FRAMES) / 25
+    times[17:] += 0.2
+    points, lost = walker.points.clone(), walker.visibility.clone()
+    points[17:, :, 0] += 500
+    lost[17] = 0
+    gone_on = dataclasses.replace(walker, points=points, visibility=lost)
+    track = clean(gone_on, pace_of(times), 600.0)
+    assert not track.flags.jumped.any()
+    assert clean(gone_on, PACE, 600.0).flags.jumped.any()
+    last, filled, first = track.person.points[16:19]
+    torch.testing.assert_close(filled, last + (first - last) * 6 / 7, rtol=0, atol=0.01)

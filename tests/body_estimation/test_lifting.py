@@ -4,6 +4,7 @@ import torch
 from deblur_avatar.body_estimation import lifting
 from deblur_avatar.body_estimation.first_guess import spline_basis
 from deblur_avatar.body_estimation.lifting import lift
+from deblur_avatar.body_estimation.pace import pace_of
 from deblur_avatar.geometry.cameras import look_at, project
 
 FRAMES, INTERVAL = 12, 1 / 24
@@ -11,7 +12,8 @@ K = torch.tensor([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
 VIEWMAT = look_at(
     torch.tensor([1.0, 0.5, 5.0]), torch.tensor([0.0, 0.2, 0.0]), torch.tensor([0.0, 1.0, 0.0])
 )
-BASIS = spline_basis(torch.arange(FRAMES) * INTERVAL, INTERVAL, 2 * INTERVAL)
+PACE = pace_of(torch.arange(FRAMES) * INTERVAL)
+BASIS = spline_basis(PACE, 2 * INTERVAL)
 
 
 def scene() -> tuple[torch.Tensor, torch.Tensor]:
@@ -33,7 +35,7 @@ def lifted(
 ) -> torch.Tensor:
     guess = shape.expand(FRAMES, -1, -1)
     return lift(
-        pixels, confidences, guess, K, VIEWMAT, BASIS, 300.0, INTERVAL, any_pose=any_pose
+        pixels, confidences, guess, K, VIEWMAT, BASIS, 300.0, PACE, any_pose=any_pose
     ).points
 
 
@@ -66,7 +68,7 @@ def test_what_is_not_seen_is_not_found():
     confidences = torch.ones(FRAMES, 20)
     confidences[3:5] = 0
     guess = shape.expand(FRAMES, -1, -1)
-    found = lift(pixels, confidences, guess, K, VIEWMAT, BASIS, 300.0, INTERVAL, any_pose=False)
+    found = lift(pixels, confidences, guess, K, VIEWMAT, BASIS, 300.0, PACE, any_pose=False)
     assert found.found.all(1).tolist() == [frame not in (3, 4) for frame in range(FRAMES)]
     assert not found.points[3:5].any()
 
