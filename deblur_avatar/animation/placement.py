@@ -11,8 +11,16 @@ from deblur_avatar.animation.stage import Stage
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import shaped_joints
-from deblur_avatar.geometry.cameras import camera_centres, crop_intrinsics, look_at, project
+from deblur_avatar.geometry.cameras import (
+    Camera,
+    camera_centres,
+    crop_intrinsics,
+    look_at,
+    project,
+)
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+
+NEAREST = 0.3  # metres; a camera nearer than that to a limb shows little else
 
 
 def place(
@@ -63,33 +71,35 @@ def about_y(angles: Float[Tensor, " F"]) -> Float[Tensor, "F 3 3"]:
     return axis_angle_to_matrix(torch.stack([still, angles, still], dim=-1))
 
 
-def framed_intrinsics(
+def framed_camera(
     points: Float[Tensor, "*batch P 3"],
     K: Float[Tensor, "3 3"],
     viewmat: Float[Tensor, "4 4"],
     size: int,
     margin: float,
-) -> Float[Tensor, "3 3"]:
-    """Intrinsics of a square picture of `size` pixels that holds all points, seen from one place.
+) -> Camera:
+    """A camera whose square picture of `size` pixels holds all points.
+
+    It stays where it is. Only where a point comes nearer than `NEAREST`, as an arm does of who
+    films herself and is turned round, it steps straight back until none does.
 
     Args:
         points: in the world.
-        K: of the camera whose place and perspective is kept; only its crop and scale change.
-        viewmat: where the camera is.
+        K: of the camera whose perspective is kept; only its crop and scale change.
+        viewmat: where that camera is.
         size: width and height in pixels.
         margin: around the points, as a share of their box's longer side.
-
-    Raises:
-        ValueError: if a point is behind the camera.
     """
-    pixels, depth = project(points, K, viewmat)
-    if depth.min() <= 0:
-        raise ValueError("the person comes as far as the camera; lower animate.travel")
-    flat = pixels.reshape(-1, 2)
+    nearest = project(points, K, viewmat)[1].min()
+    if nearest < NEAREST:
+        viewmat = viewmat.clone()
+        viewmat[2, 3] += NEAREST - nearest
+    flat = project(points, K, viewmat)[0].reshape(-1, 2)
     low, high = flat.min(0).values, flat.max(0).values
     half = float((high - low).max()) * (0.5 + margin)
     corner = (low + high) / 2 - half
-    return crop_intrinsics(K, float(corner[0]), float(corner[1]), size / (2 * half))
+    K = crop_intrinsics(K, float(corner[0]), float(corner[1]), size / (2 * half))
+    return Camera(K, viewmat, size, size)
 
 
 def _heading(rotation: Float[Tensor, "3 3"]) -> Float[Tensor, ""]:

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from deblur_avatar.animation.driving_motion import BodyMotion
-from deblur_avatar.animation.placement import framed_intrinsics, level_view, place
+from deblur_avatar.animation.placement import framed_camera, level_view, place
 from deblur_avatar.animation.stage import Stage
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
@@ -68,8 +68,7 @@ def plan_shot(
     poses = place(motion, body, betas, stage, turns=turns, travel=travel)
     level = level_view(stage, viewmat)
     points = _surfaces(body, poses)
-    K = framed_intrinsics(points, K, level, size, margin)
-    return Shot(poses, Camera(K, level, size, size))
+    return Shot(poses, framed_camera(points, K, level, size, margin))
 
 
 def render_shot(

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from deblur_avatar.animation.placement import framed_intrinsics
+from deblur_avatar.animation.placement import framed_camera
 from deblur_avatar.animation.stage import up_of_clip
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.motion import Motion
@@ -125,10 +125,7 @@ def _beside(observations: Observations, poses: Poses, angle: Float[Tensor, " 3"]
     turn[:3, :3] = axis_angle_to_matrix(angle)
     turn[:3, 3] = pelvis - turn[:3, :3] @ pelvis
     camera = observations.camera
-    viewmat = camera.viewmat @ turn
-    size = TURNTABLE_SIZE
-    K = framed_intrinsics(surface.vertices, camera.K, viewmat, size, ROOM)
-    return Camera(K, viewmat, size, size)
+    return framed_camera(surface.vertices, camera.K, camera.viewmat @ turn, TURNTABLE_SIZE, ROOM)
 
 
 def far_share(model: AvatarModel) -> float | None:

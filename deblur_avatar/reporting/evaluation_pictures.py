@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, UInt8
 
 from deblur_avatar.animation.driving_motion import BodyMotion
-from deblur_avatar.animation.placement import framed_intrinsics, place
+from deblur_avatar.animation.placement import framed_camera, place
 from deblur_avatar.animation.stage import stage_of_clip
 from deblur_avatar.artifacts.avatar import Avatar
 from deblur_avatar.artifacts.motion import Motion
@@ -21,7 +21,6 @@ from deblur_avatar.avatars.render import render_avatar
 from deblur_avatar.bodies.posed_body import posed
 from deblur_avatar.evaluation.comparisons import Comparison
 from deblur_avatar.evaluation.held_out_blur import reconstruct_held_out
-from deblur_avatar.geometry.cameras import Camera
 from deblur_avatar.imaging.contact_sheets import contact_sheet
 from deblur_avatar.imaging.picture_files import write_picture
 
@@ -131,10 +130,10 @@ def turntable(avatar: Avatar, observations: Observations, device: torch.device) 
     turns = (SIDES - 1) / SIDES
     poses = place(standing, body, avatar.betas, stage, turns=turns, travel=0.0)
     points = posed(body, poses).vertices
-    size = TURNTABLE_SIZE
-    K = framed_intrinsics(points, observations.cameras.Ks[camera], viewmat, size, MARGIN)
+    K = observations.cameras.Ks[camera]
     images, _ = render_avatar(
-        avatar_from_artifact(avatar, body, device), poses, Camera(K, viewmat, size, size),
+        avatar_from_artifact(avatar, body, device), poses,
+        framed_camera(points, K, viewmat, TURNTABLE_SIZE, MARGIN),
         frame=max(observations.train),
     )  # fmt: skip
     codes = (images.cpu() * 255).round().to(torch.uint8).numpy()

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deblur_avatar.animation.placement import framed_intrinsics, level_view, place
+from deblur_avatar.animation.placement import NEAREST, framed_camera, level_view, place
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed_joints, posed_vertices
 from deblur_avatar.geometry.cameras import camera_centres, project
@@ -113,8 +113,9 @@ def test_the_frame_holds_the_person_with_its_margin(body, filmed):
         standing(), body, filmed.betas, stage_before(body, filmed, VIEW), turns=1.0, travel=0.0
     )
     points = posed_vertices(body, poses.betas, poses.global_orient, poses.body_pose, poses.transl)
-    framed = framed_intrinsics(points, K, VIEW, 64, 0.1)
-    pixels = project(points, framed, VIEW)[0].reshape(-1, 2)
+    framed = framed_camera(points, K, VIEW, 64, 0.1)
+    assert torch.equal(framed.viewmat, VIEW)
+    pixels = project(points, framed.K, VIEW)[0].reshape(-1, 2)
     low, high = pixels.min(0).values, pixels.max(0).values
     longer = float((high - low).max())
     assert longer == pytest.approx(64 / 1.2, abs=0.1)
@@ -133,7 +134,12 @@ def test_a_camera_that_hangs_askew_is_set_upright_where_it_stands(body, filmed):
     torch.testing.assert_close(pixels[1], K[:2, 2], atol=0.5, rtol=0)
 
 
-def test_a_person_who_walks_behind_the_camera_is_refused():
+def test_a_camera_that_a_limb_would_touch_steps_straight_back():
     points = torch.tensor([[[0.0, 0.0, 1.0], [9.0, 9.0, 2.0]]])
-    with pytest.raises(ValueError, match="lower animate.travel"):
-        framed_intrinsics(points, K, VIEW, 64, 0.1)
+    assert project(points, K, VIEW)[1].min() < 0
+    framed = framed_camera(points, K, VIEW, 64, 0.1)
+    pixels, depths = project(points, framed.K, framed.viewmat)
+    assert depths.min() == pytest.approx(NEAREST, abs=1e-4)
+    assert ((pixels > 0) & (pixels < 64)).all()
+    assert torch.equal(framed.viewmat[:3, :3], VIEW[:3, :3])
+    assert torch.equal(framed.viewmat[:2, 3], VIEW[:2, 3])
