@@ -129,7 +129,9 @@ def preprocess(
     shown = _frames_with_person(mattes)
     track = _track(clip, body, params, people, shown)
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
-    crops, cameras = person_crops(clip.cameras, body, track.poses, params.margin, image_height)
+    crops, cameras = person_crops(
+        clip.cameras, body, track.poses, params.margin, image_height, {clip.train_camera: mattes}
+    )
     background = scenes[row].background(kind, mattes)
     if params.masks == "swept":
         mattes = swept_mattes(mattes, clip, body, track.poses)
@@ -143,7 +145,8 @@ def preprocess(
         return person_pictures(frames, mattes, background, cut, averaging_space)
 
     taken = pictures(clip.frames[row], mattes)
-    blurred = _observations(clip, body, params, track, shown, taken, crops, cameras)
+    track = _without_lost(track, taken.mattes)
+    blurred = _observations(clip, body, params, track, taken, crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
         taken = pictures(clip.sharp_frames, sharp_mattes)
@@ -170,13 +173,12 @@ def _observations(
     body: Body,
     params: PreprocessParams,
     track: _Track,
-    shown: Bool[Tensor, " F"],
     pictures: PersonPictures,
     crops: list[Crop],
     cameras: Cameras,
 ) -> Observations:
     """The blurred pictures with all that is known of them."""
-    train, validation = _split(clip, shown, params.validation_stride)
+    train, validation = _split(clip, track.weights > 0, params.validation_stride)
     return Observations(
         **pictures._asdict(),
         cameras=cameras,
@@ -320,6 +322,27 @@ def _frames_with_person(mattes: UInt8[Tensor, "F H W"]) -> Bool[Tensor, " F"]:
     return shown
 
 
+def _without_lost(track: _Track, mattes: UInt8[Tensor, "F H W"]) -> _Track:
+    """Trust no frame whose matte lies outside the crop: it is of somebody else, or of nothing.
+
+    Raises:
+        ArtifactError: if no frame is left whose pose rests on something that was seen.
+    """
+    lost = (track.weights > 0) & (mattes.flatten(1).amax(1) == 0)
+    if lost.any():
+        logger.warning(
+            "%d frames are skipped, whose masks show nobody where the body goes: %s",
+            int(lost.sum()), spans(torch.nonzero(lost).flatten().tolist()),
+        )  # fmt: skip
+    weights = torch.where(lost, 0.0, track.weights)
+    if not (weights > 0).any():
+        raise ArtifactError(
+            "no frame has both a mask and a pose that rests on something seen; look at masks and "
+            "keypoints"
+        )
+    return replace(track, weights=weights)
+
+
 def _check_in_front(
     cameras: Cameras, camera: int, body: Body, poses: Poses, shown: Bool[Tensor, " F"]
 ) -> None:
@@ -335,16 +358,16 @@ def _check_in_front(
 
 
 def _split(
-    clip: BlurryClip, shown: Bool[Tensor, " F"], stride: int
+    clip: BlurryClip, fitted: Bool[Tensor, " F"], stride: int
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Positions to train and to validate on, the latter every `stride`-th.
+    """Positions to train and to validate on, of frames that can be; the latter every `stride`-th.
 
     Frames whose shutter was still open when the held-out part began belong to neither.
     """
-    usable: tuple[int, ...] = tuple(range(len(shown)))
-    if clip.held_out_from < len(shown):
+    usable: tuple[int, ...] = tuple(range(len(fitted)))
+    if clip.held_out_from < len(fitted):
         end = float(clip.timestamps[clip.held_out_from])
         usable = frames_before(clip.timestamps, clip.exposure, end)
-    usable = tuple(index for index in usable if shown[index])
+    usable = tuple(index for index in usable if fitted[index])
     validation = tuple(index for index in usable if index % stride == stride // 2)
     return tuple(index for index in usable if index not in validation), validation

@@ -15,6 +15,7 @@ from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
+from deblur_avatar.body_estimation.person_crops import _filled_box
 from deblur_avatar.body_estimation.trimming import without_background
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
@@ -174,6 +175,62 @@ def test_large_frames_are_cropped_to_the_person_and_every_camera_with_them(
         clip.frames[RECORDED.index(TRAIN)], crop, made.blurred.frames.shape[2:0:-1]
     )
     assert torch.equal(made.blurred.frames, expected)
+
+
+def bare_crop(clip: BlurryClip, body: Body) -> tuple[int, ...]:
+    """Where the body alone goes, in a small picture without a margin."""
+    return tuple(run(clip, body, image_height=40, margin=0.0).blurred.crops[TRAIN].int().tolist())
+
+
+def with_mask(clip: BlurryClip, frames: list[int], rows: slice, columns: slice) -> BlurryClip:
+    mattes = clip.mattes.clone()
+    mattes[RECORDED.index(TRAIN), frames, rows, columns] = 255
+    return dataclasses.replace(clip, mattes=mattes)
+
+
+def test_what_stands_off_the_body_is_not_cut_off_the_training_camera_s_pictures(
+    clip: BlurryClip, body: Body
+):
+    x, y, width, height = bare_crop(clip, body)
+    left, wide = x - 8, slice(x - 8, x + width // 2)
+    assert left > 1
+    skirt = with_mask(clip, [*range(2, 7)], slice(y + height // 2, y + height - 8), wide)
+    made = run(skirt, body, image_height=40, margin=0.0).blurred
+    found = made.crops[TRAIN].int().tolist()
+    assert left - 3 <= found[0] < left
+    assert found[0] + found[2] == x + width
+    assert not (made.mattes[:, :, 0] > 127).any()
+    others = run(clip, body, image_height=40, margin=0.0).blurred.crops[RECORDED[0]]
+    assert torch.equal(made.crops[RECORDED[0]], others)
+
+
+def test_a_mask_that_strays_for_a_moment_widens_no_crop_of_a_long_clip():
+    mattes = torch.zeros(100, 30, 60, dtype=torch.uint8)
+    mattes[:, 10:20, 25:35] = 255
+    mattes[41, 10:20, 55:60] = 255
+    mattes[50:60] = 0  # frames without a person have no say
+    torch.testing.assert_close(_filled_box(mattes), torch.tensor([[25.0, 10, 35, 20]]))
+    assert _filled_box(mattes[50:60]) is None
+
+
+def test_a_frame_whose_mask_lies_outside_the_crop_is_skipped_and_named(
+    clip: BlurryClip, body: Body, caplog: pytest.LogCaptureFixture, monkeypatch
+):
+    monkeypatch.setattr("deblur_avatar.body_estimation.person_crops.STRAY", 0.4)
+    x, *_ = bare_crop(clip, body)
+    mattes = clip.mattes.clone()
+    mattes[RECORDED.index(TRAIN), 3] = 0
+    strayed = dataclasses.replace(clip, mattes=mattes)
+    strayed = with_mask(strayed, [3], slice(0, 20), slice(0, x - 2))
+    made = run(strayed, body, image_height=40, margin=0.0).blurred
+    assert made.weights.tolist() == [1, 1, 1, 0, 1, 1, 1, 1, 1]
+    assert made.train == (0, 1, 4, 5)
+    assert "masks show nobody where the body goes: 3" in caplog.text
+    mattes[RECORDED.index(TRAIN)] = 0
+    mattes[RECORDED.index(TRAIN), :, :20, : x - 2] = 255
+    monkeypatch.setattr("deblur_avatar.body_estimation.person_crops._filled_box", lambda _: None)
+    with pytest.raises(ArtifactError, match="no frame has both a mask and a pose"):
+        run(dataclasses.replace(clip, mattes=mattes), body, image_height=40, margin=0.0)
 
 
 def test_frames_are_never_scaled_up(clip: BlurryClip, body: Body):
@@ -454,6 +511,21 @@ def test_keypoints_and_masks_of_the_user_s_own_are_preferred(
     made = run(own, body, OneCamera(wrong), poses="estimated", masks="given")
     assert torch.equal(made.blurred.mattes, true.mattes)
     assert made.metrics["fit"]["cam1"]["reprojection_px"] < 3
+
+
+def test_frames_whose_pose_rests_on_nothing_are_in_no_set_though_they_have_a_mask(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 20)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
+    seen = people[TRAIN]
+    missed = dataclasses.replace(
+        seen, found=~torch.isin(torch.arange(FRAMES), torch.tensor([2, 3]))
+    )
+    own = of_one_camera(clip, mattes=seen.mattes[None])
+    made = run(own, body, OneCamera(missed), poses="estimated", masks="given").blurred
+    assert (made.weights[[2, 3]] == 0).all()
+    assert not {2, 3} & {*made.train, *made.validation}
 
 
 def test_sharp_mattes_have_no_say_in_what_is_trained_on(body: Body, clip: BlurryClip):
