@@ -108,8 +108,8 @@ def clean(person: Landmarks, pace: Pace, size: float) -> CleanTrack:
     return CleanTrack(cleaned, flags)
 
 
-def trust(flags: Flags, rows: tuple[int, ...]) -> Float[Tensor, " F"]:
-    """Share of the landmarks in use that nothing was wrong with, by frame."""
+def trust(flags: Flags, rows: Sequence[int]) -> Float[Tensor, " F"]:
+    """Share of some landmarks, one at least, that nothing was wrong with, by frame."""
     bad = flags.jumped | flags.lost
     return 1 - bad[:, list(rows)].float().mean(1)
 

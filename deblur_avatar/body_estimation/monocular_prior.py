@@ -68,6 +68,7 @@ def apply_monocular_prior(
     Returns:
         The person with mistakes put right or at no confidence, and what else is known.
     """
+    known = [row for row in marks.rows if person.visibility[:, row].any()]  # to its detector
     track: CleanTrack = clean(person, pace, extent)
     person, rows = track.person, list(marks.rows)
     K, viewmat = cameras.Ks[camera], cameras.viewmats[camera]
@@ -77,15 +78,15 @@ def apply_monocular_prior(
         person.points[:, rows], confidences, guess, K, viewmat, basis, extent, pace,
         any_pose=any_pose,
     )  # fmt: skip
-    known = OneView(
+    one = OneView(
         found=found,
         about_hips=guess @ viewmat[:3, :3],  # from the camera's axes to the world's
         sure=(_sure(confidences) if any_pose else confidences) * believed[:, None],
         stands=_standing(person.points[:, rows], confidences, marks, extent, pace),
-        trust=trust(track.flags, marks.rows) * person.found,
+        trust=trust(track.flags, known or marks.rows) * person.found,
         flags=track.flags.counts(),
     )
-    return person, known
+    return person, one
 
 
 def guess_cost(

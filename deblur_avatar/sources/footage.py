@@ -168,7 +168,8 @@ def _one_shot(read: Footage, path: Path) -> Footage:
     """
     repeats = set(repeated_frames(read.frames))
     pictures = [index for index in range(len(read.frames)) if index not in repeats]
-    starts = [pictures[start] for start in shot_starts(read.frames[pictures])]
+    cuts = {pictures[start] for start in shot_starts(read.frames[pictures])}
+    starts = sorted(cuts | _clock_starts(read.timestamps))
     if len(starts) == 1:
         return read
     first, stop = longest_shot(starts, len(read.frames))
@@ -182,6 +183,13 @@ def _one_shot(read: Footage, path: Path) -> Footage:
         read.numbers[stop - 1],
     )
     return _part(read, first, stop)
+
+
+def _clock_starts(timestamps: Float64[Tensor, " F"]) -> set[int]:
+    """Frames before which time went back: files of a camera that were joined as they are."""
+    steps = timestamps.diff()
+    back = steps < -GAP * steps.abs().median()
+    return {1 + int(index) for index in torch.nonzero(back).flatten()}
 
 
 def _part(read: Footage, first: int, stop: int) -> Footage:

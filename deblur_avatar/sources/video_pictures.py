@@ -8,11 +8,13 @@ import logging
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from functools import cache
+from typing import cast
 
 import av
 import cv2
 import numpy as np
 import torch
+from av.sidedata.sidedata import SideData
 from av.video.reformatter import ColorPrimaries, ColorTrc
 from jaxtyping import Float, UInt8, UInt16
 
@@ -41,6 +43,7 @@ def decoded(
         name: what messages call it.
     """
     told: set[str] = set()
+    held: tuple[float, ...] | None = None  # of the first frame: side data keep frames in memory
 
     def tell(what: str) -> None:
         if what not in told:
@@ -60,8 +63,8 @@ def decoded(
             tell(f"pixels of {shape.numerator}:{shape.denominator} are made square")
             width = max(1, round(image.shape[1] * shape))
             image = _stretched(image, width)
-        # PyAV: the angle by which the frame is to be turned anticlockwise.
-        yield frame, np.ascontiguousarray(np.rot90(image, round(frame.rotation / 90) % 4))
+        held = _display_matrix(frame) if held is None else held
+        yield frame, _upright(image, held)
 
 
 def _whole_frames(
@@ -96,6 +99,30 @@ def _filtered(graph: av.filter.Graph, frame: av.VideoFrame | None) -> Iterator[a
             yield graph.vpull()
         except (av.error.BlockingIOError, av.error.EOFError):
             return
+
+
+def _display_matrix(frame: av.VideoFrame) -> tuple[float, ...]:
+    """How a picture is to be turned and mirrored: a, b, c and d of x' = a x + c y, y' = b x + d y.
+
+    Source: ISO/IEC 14496-12, 8.3.2.
+    """
+    found = cast(SideData | None, frame.side_data.get("DISPLAYMATRIX"))
+    if found is None:
+        return 1.0, 0.0, 0.0, 1.0
+    matrix = np.frombuffer(bytes(found), np.int32)
+    return tuple(matrix[[0, 1, 3, 4]].astype(float).tolist())
+
+
+def _upright(
+    image: UInt8[np.ndarray, "H W 3"], matrix: tuple[float, ...]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture as its display matrix asks for, by quarters of a turn."""
+    a, b, c, d = matrix
+    if abs(b) > abs(a):
+        image, right, down = image.transpose(1, 0, 2), c, b
+    else:
+        right, down = a, d
+    return np.ascontiguousarray(image[:: -1 if down < 0 else 1, :: -1 if right < 0 else 1])
 
 
 def _stretched(image: UInt8[np.ndarray, "H W 3"], width: int) -> UInt8[np.ndarray, "H w 3"]:

@@ -41,11 +41,13 @@ def write_video(
     return path
 
 
-def held_otherwise(path: Path, recording: Path, rotation: int) -> Path:
+def held_otherwise(
+    path: Path, recording: Path, rotation: int, *, hflip: bool = False, vflip: bool = False
+) -> Path:
     """The same encoded frames in a file that says how the camera was held, degrees."""
     with av.open(str(recording)) as read, av.open(str(path), "w") as container:
         stream = container.add_stream_from_template(read.streams.video[0])
-        stream.set_display_rotation(rotation)
+        stream.set_display_rotation(rotation, hflip=hflip, vflip=vflip)
         for packet in read.demux(video=0):
             if packet.dts is not None:
                 packet.stream = stream

@@ -64,6 +64,36 @@ def test_a_rotated_recording_is_upright_and_its_size_too(tmp_path: Path):
     assert (turned.frames[0].numpy() == np.rot90(plain)).all()
 
 
+@pytest.mark.parametrize("rotation", [0, 90, 180, -90])
+@pytest.mark.parametrize("mirrored", ["hflip", "vflip"])
+def test_a_recording_that_is_to_be_mirrored_is(tmp_path: Path, rotation: int, mirrored: str):
+    """As front cameras and editors ask for; turned first, then mirrored."""
+    corners = [np.pad(picture(index), ((8, 0), (0, 0), (0, 0))) for index in range(3)]
+    recording = write_video(tmp_path / "a.mp4", corners)
+    plain = read(recording, height=100).frames[0].numpy()
+    other = held_otherwise(tmp_path / "b.mp4", recording, rotation, **{mirrored: True})
+    expected = np.flip(np.rot90(plain, rotation // 90 % 4), 1 if mirrored == "hflip" else 0)
+    assert (read(other, height=100).frames[0].numpy() == expected).all()
+
+
+def test_files_of_a_camera_that_were_joined_are_two_recordings(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    """Whose clock starts anew; the frames of the second were left out as repeated, untold."""
+    scene = np.random.default_rng(0).integers(0, 255, (HEIGHT, 4 * WIDTH, 3), np.uint8)
+    pictures = [scene[:, 2 * index : 2 * index + WIDTH] for index in range(24)]
+    parts = [
+        write_video(tmp_path / f"{name}.ts", part, [index / FPS for index in range(len(part))])
+        for name, part in (("a", pictures[:9]), ("b", pictures[9:]))
+    ]
+    joined = tmp_path / "joined.ts"
+    joined.write_bytes(b"".join(part.read_bytes() for part in parts))
+    footage = read(joined)
+    assert footage.numbers == tuple(range(9, 24))
+    assert footage.timestamps.diff().tolist() == pytest.approx([1 / FPS] * 14, abs=1e-3)
+    assert "2 shots, cut before frames 9" in caplog.text
+
+
 def test_every_second_frame_of_a_part_keeps_its_number_and_time(tmp_path: Path):
     footage = read(write_video(tmp_path / "a.mp4", PICTURES), frames=(1, 6), stride=2)
     assert footage.numbers == (1, 3, 5)
