@@ -25,6 +25,7 @@ from deblur_avatar.config.section import (
 )
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.imaging.exposure import GUESS_STD
+from deblur_avatar.sources.borders import without_borders
 from deblur_avatar.sources.footage import Footage, read_footage
 from deblur_avatar.sources.footage_camera import camera_of_footage
 from deblur_avatar.sources.given_masks import read_masks
@@ -99,9 +100,10 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         ConfigError: if there is no such footage or the parameters contradict each other.
         ArtifactError: if a file is damaged, or something brought along does not fit the footage.
     """
-    footage = read_footage(
-        _path(params.path, "path"), params.frames, params.stride, params.fps, params.image_height
-    )
+    path = _path(params.path, "path")
+    footage = read_footage(path, params.frames, params.stride, params.fps, params.image_height)
+    if params.keypoints is None and params.masks is None and params.poses is None:
+        footage = without_borders(footage, str(path))  # which what comes along would have, too
     height, width = footage.frames.shape[1:3]
     mattes = None
     if params.masks is not None:
@@ -116,7 +118,7 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
         recorded=(0,),
         train_camera=0,
         cameras=camera_of_footage(
-            _path(params.path, "path"), footage, params.focal, params.field_of_view, mattes, segment
+            path, footage, params.focal, params.field_of_view, mattes, segment
         ),
         timestamps=(footage.timestamps - footage.timestamps[0]).float(),
         blurred=True,

@@ -245,6 +245,26 @@ def test_a_portrait_recording_stands_upright(body: Body, tmp_path: Path, rotatio
 
 
 @pytest.mark.parametrize("quality", [18, 38])
+@pytest.mark.parametrize("masked", [False, True])
+def test_bars_are_cut_off_unless_masks_came_along_that_have_them_too(
+    body: Body, tmp_path: Path, quality: int, masked: bool
+):
+    frames = [np.pad(frame, ((42, 42), (0, 0), (0, 0))) for frame in walker(8)]
+    video, masks = write(tmp_path / "a.mp4", frames, quality=quality), tmp_path / "masks"
+    if masked:
+        masks.mkdir()
+        for index in range(8):
+            mask = np.zeros((HEIGHT + 84, WIDTH), np.uint8)
+            mask[62:142, 20:44] = 255
+            cv2.imwrite(str(masks / f"{index}.png"), mask)
+    clip = load(body, video, image_height=1000, masks=str(masks) if masked else None)
+    ((width, height),) = clip.cameras.sizes.tolist()
+    assert width == WIDTH
+    assert abs(height - (HEIGHT + 84 if masked else HEIGHT)) <= (2 if quality == 38 else 0)
+    assert clip.cameras.Ks[0, :2, 2].tolist() == [width / 2, height / 2]
+
+
+@pytest.mark.parametrize("quality", [18, 38])
 def test_what_an_encoder_lost_stays_within_what_it_lost(body: Body, tmp_path: Path, quality: int):
     frames = walker(8)
     read = load(body, write(tmp_path / "a.mp4", frames, quality=quality)).frames[0]
