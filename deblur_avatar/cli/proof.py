@@ -6,7 +6,8 @@ Says first what it will take, then works off what is not there yet, two stages a
 
 import argparse
 import logging
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from deblur_avatar.cli.running_dvc import check_checkout, reproduce
@@ -30,6 +31,8 @@ logger = logging.getLogger(__name__)
 FOLDER = Path("experiments/proof")
 PARAMS = FOLDER / "params.yaml"
 LAST = ("evaluate", "learning_curve")  # stages of a cell that no other stands on
+VARIABLE = re.compile(r"\$[({](\w+)")  # of the environment, in a parameter
+FILES = "docs/evidence.md"  # says which file each variable names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,13 +53,13 @@ def run(asked: argparse.Namespace) -> int:
         raise ConfigError(f"--at-once {asked.at_once}: wanted 1 or more stages at a time")
     plan = load_plan(PARAMS)
     parts = asked.parts or list(plan.run)
-    missing = _missing_footage(plan, parts)
-    cells = {
-        name: cell for name, cell in cells_of(plan, parts).items() if cell.scene not in missing
-    }
+    every, missing = cells_of(plan, parts), _missing_footage(plan, parts)
+    cells = {name: cell for name, cell in every.items() if cell.scene not in missing}
     left = {name: cell for name, cell in cells.items() if not is_there(cell)}
     scenes = dict.fromkeys(cell.scene for cell in cells.values())
     logger.info("%s", what_it_takes(plan, cells, left, asked.at_once))
+    if missing:
+        logger.warning("%s", what_is_left_out(len(every) - len(cells), len(every), missing))
     if asked.plan:
         return 0
     asked_for = [target for scene in scenes for target in targets(plan, scene, cells)]
@@ -91,24 +94,48 @@ def what_it_takes(
     return "\n".join(lines)
 
 
+def what_is_left_out(number: int, of: int, missing: Mapping[str, Sequence[str]]) -> str:
+    """How many cells cannot be made here, and what would let them be.
+
+    Args:
+        number: of cells that are left out.
+        of: how many were asked for.
+        missing: of each scene without its files, the variables that would name them.
+    """
+    return (
+        f"Left out, and in none of these figures: {number} of {of} cells, those of "
+        f"{', '.join(missing)}{_to_set(missing)}."
+    )
+
+
 def targets(plan: ProofParams, scene: str, cells: Mapping[str, Cell]) -> list[str]:
     """What to ask DVC for of one scene; what that stands on follows from the pipelines."""
     own = [cell.name for cell in cells.values() if cell.scene == scene]
     return [f"{FOLDER / scene}/dvc.yaml:{stage}@{name}" for name in own for stage in LAST]
 
 
-def _missing_footage(plan: ProofParams, parts: Sequence[str]) -> set[str]:
-    """Scenes that cannot be made here; each is named in the log."""
-    missing = set()
-    for scene in dict.fromkeys(cell.scene for cell in cells_of(plan, parts).values()):
+def _missing_footage(plan: ProofParams, parts: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Scenes that cannot be made here, each named in the log, and the variables of each.
+
+    Raises:
+        ConfigError: if that is all of them.
+    """
+    missing = {}
+    scenes = dict.fromkeys(cell.scene for cell in cells_of(plan, parts).values())
+    for scene in scenes:
         file = Path("params.yaml") if scene in plan.filmed_at_root else PARAMS
         params = load_params(file, f"scenes.{scene}", SceneParams)
         reasons = params.clip.missing_files(f"scenes.{scene}.clip")
         if reasons:
-            logger.warning("scene %s is left out: %s", scene, "; ".join(reasons))
-            missing.add(scene)
-    if not missing:
-        return missing
-    if missing == {cell.scene for cell in cells_of(plan, parts).values()}:
-        raise ConfigError(f"no scene of {', '.join(parts)} can be made here")
+            missing[scene] = tuple(VARIABLE.findall(params.clip.model_dump_json()))
+            because = "; ".join(reasons) + _to_set({scene: missing[scene]})
+            logger.warning("scene %s is left out: %s", scene, because)
+    if missing.keys() == scenes.keys():
+        raise ConfigError(f"no scene of {', '.join(parts)} can be made here{_to_set(missing)}")
     return missing
+
+
+def _to_set(missing: Mapping[str, Iterable[str]]) -> str:
+    """The end of a sentence about scenes without files: what variables would name them."""
+    names = dict.fromkeys(name for of in missing.values() for name in of)
+    return f"; set {', '.join(names)}, which {FILES} explains" if names else ""

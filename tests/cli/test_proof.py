@@ -103,19 +103,52 @@ def test_a_cell_that_fails_leaves_the_page_as_it_was(folder, swept, monkeypatch)
     assert commands.calls == []
 
 
-def test_a_scene_whose_motion_is_missing_is_named_and_left_out(folder, monkeypatch, caplog):
+def without_motions(folder, motions):
+    """Let scenes of the small proof move as files do that are not there."""
     path = folder / "experiments/proof/params.yaml"
     content = YAML(typ="safe").load(path)
-    clip = content["scenes"]["leaping"]["clip"]
-    content["scenes"]["leaping"] = content["scenes"]["leaping"] | {
-        "clip": clip | {"motion": "nowhere.bvh"}
-    }
+    for scene, motion in motions.items():
+        clip = content["scenes"][scene]["clip"] | {"motion": motion}
+        content["scenes"][scene] = content["scenes"][scene] | {"clip": clip}
     with path.open("w") as file:
         YAML().dump(content, file)
+
+
+def test_a_scene_whose_motion_is_missing_is_named_and_left_out(folder, caplog):
+    without_motions(folder, {"leaping": "nowhere.bvh"})
     with caplog.at_level(logging.INFO):
         assert main(["proof", "--plan"]) == 0
-    assert "scene leaping is left out: no motion file nowhere.bvh" in caplog.text
+    reason = "no motion file nowhere.bvh (scenes.leaping.clip.motion)"
+    assert f"scene leaping is left out: {reason}\n" in caplog.text, "no variable would help"
     assert "6 cells, 0 of them there already." in caplog.text
+    assert "in none of these figures: 9 of 15 cells, those of leaping.\n" in caplog.text
+
+
+def test_a_scene_that_a_variable_would_give_its_motion_names_it(folder, monkeypatch, caplog):
+    monkeypatch.setenv("DANCE_BVH", "elsewhere.bvh")
+    without_motions(folder, {"leaping": "$(DANCE_BVH:-../mocap/dance.bvh)"})
+    for cell in cells_of(small_plan(), ["grid", "seeds"]).values():
+        write_cell(folder / "experiments/proof/metrics", cell, 18.0)
+    with caplog.at_level(logging.INFO):
+        assert main(["proof", "--plan"]) == 0
+    reason = "no motion file elsewhere.bvh (scenes.leaping.clip.motion); set DANCE_BVH"
+    assert f"scene leaping is left out: {reason}, which docs/evidence.md explains" in caplog.text
+    left_out = "9 of 15 cells, those of leaping; set DANCE_BVH, which docs/evidence.md explains."
+    assert f"Left out, and in none of these figures: {left_out}" in caplog.messages[-1]
+
+
+def test_where_no_scene_can_be_made_the_variables_that_would_help_are_named(
+    folder, monkeypatch, capsys
+):
+    for name in ("CMU_BVH", "DANCE_BVH"):
+        monkeypatch.delenv(name, raising=False)
+    motions = {"leaping": "$(CMU_BVH:-nowhere.bvh)", "leaping_17": "${DANCE_BVH}"}
+    without_motions(folder, motions)
+    assert main(["proof", "--parts", "grid"]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "ConfigError: no scene of grid can be made here; set CMU_BVH, DANCE_BVH, which "
+        "docs/evidence.md explains"
+    )
 
 
 def test_a_part_that_is_not_there_is_one_line(folder, capsys):

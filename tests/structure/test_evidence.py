@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from deblur_avatar.cli.proof import VARIABLE
 from deblur_avatar.config.proof import CostParams, ProofParams, cells_of, files_of, load_plan
 from deblur_avatar.config.reading import load_params, read_params
 from deblur_avatar.imaging.deblurring.dstnet_small import PARTS, SHIPPED
@@ -222,6 +223,17 @@ def test_scenes_of_several_windows_differ_in_them_alone() -> None:
             for part in ("clip", "blur"):
                 other[part]["window"] = scenes[base][part]["window"]
             assert other == {part: scenes[base][part] for part in other}
+
+
+def test_the_document_names_every_part_and_every_file_that_the_proof_needs() -> None:
+    document = (ROOT / "docs/evidence.md").read_text()
+    variables = set(VARIABLE.findall((PROOF / "params.yaml").read_text()))
+    variables |= set(
+        VARIABLE.findall(json.dumps(read(ROOT / "params.yaml")["scenes"]["skater_17"]))
+    )
+    assert {"CMU_BVH", "DANCE_BVH", "JUMPER_VIDEO", "SKATER_VIDEO"} <= variables
+    for name in sorted({*PLAN.parts, *variables}):
+        assert f"`{name}`" in document, name
 
 
 def test_pipelines_and_cells_are_those_of_the_plan() -> None:
