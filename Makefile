@@ -95,6 +95,6 @@ relock: $(STAMP)
 	$(if $(BASE),,$(error make relock needs a commit to compare with: make relock BASE=HEAD))
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.equivalence --base "$(BASE)" --renamed "$(RENAMED)" --changed "$(CHANGED)"
 
-# Copies reports/table.md and the headline of the proof into docs/results.md and README.md; a test compares.
+# Copies reports/table.md, and tables made of the proof's metrics, into docs/results.md and README.md; a test compares.
 readme: $(STAMP)
 	$(BIN)/python -m tests.structure.readme_table --write

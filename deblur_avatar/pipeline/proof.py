@@ -57,7 +57,7 @@ class ProofReport:
 
     page: str
     tables: str
-    headline: str  # of them those that docs/results.md shows
+    headline: str  # of them the mean, and one of each scene that nothing was tuned on
     summary: dict[str, Any]
     charts: dict[str, bytes]  # files by name
     log: str

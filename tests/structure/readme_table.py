@@ -1,4 +1,6 @@
-"""The results tables of README.md and docs/results.md are those that `report` and `proof` wrote.
+"""The results tables of README.md and docs/results.md are made of what the pipelines left.
+
+Those of the proof come from its metrics (`proof_headline`), the others from what `report` wrote.
 
 python -m tests.structure.readme_table --write
 """
@@ -10,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tests.structure.pipeline_files import ROOT
+from tests.structure.proof_headline import READ, tables_of_proof
 
 BEGIN, END = "<!-- results: copied by `make readme` -->", "<!-- end of results -->"
 PROOF_BEGIN, PROOF_END = "<!-- proof: copied by `make readme` -->", "<!-- end of proof -->"
@@ -21,22 +24,31 @@ def first_section(text: str) -> str:
     return head if head.startswith("### ") or not rest else f"{head}\n### {rest[0]}"
 
 
+def whole_report(root: Path) -> str:
+    """The table that `report` wrote in a checkout.
+
+    Raises:
+        FileNotFoundError: if it has not.
+    """
+    return (root / REPORT).read_text()
+
+
 class Block(NamedTuple):
-    """Part of a document that is copied from a report."""
+    """Part of a document that is made of results."""
 
     document: Path
-    report: Path
     begin: str
     end: str
-    part: Callable[[str], str] = str
+    read: tuple[str, ...]  # of the checkout
+    made: Callable[[Path], str]  # of a checkout
 
 
-HEADLINE = ROOT / "reports" / "proof" / "headline.md"
-RESULTS = ROOT / "docs" / "results.md"
+REPORT = "reports/table.md"
+README, RESULTS = ROOT / "README.md", ROOT / "docs" / "results.md"
 BLOCKS = (
-    Block(ROOT / "README.md", HEADLINE, PROOF_BEGIN, PROOF_END, first_section),
-    Block(RESULTS, HEADLINE, PROOF_BEGIN, PROOF_END),
-    Block(RESULTS, ROOT / "reports" / "table.md", BEGIN, END),
+    Block(README, PROOF_BEGIN, PROOF_END, READ, lambda root: first_section(tables_of_proof(root))),
+    Block(RESULTS, PROOF_BEGIN, PROOF_END, READ, tables_of_proof),
+    Block(RESULTS, BEGIN, END, (REPORT,), whole_report),
 )
 
 
@@ -56,10 +68,14 @@ def with_table(document: str, table: str, begin: str = BEGIN, end: str = END) ->
     return f"{before}{begin}\n\n{table.strip()}\n\n{end}{rest.split(end)[1]}"
 
 
-def copied(block: Block, report: str) -> str:
-    """A block's document as it is with such a report."""
+def copied(block: Block, root: Path) -> str:
+    """A block's document as it is with the results of a checkout.
+
+    Raises:
+        FileNotFoundError: if they are not there.
+    """
     document = block.document.read_text()
-    return with_table(document, block.part(report), block.begin, block.end)
+    return with_table(document, block.made(root), block.begin, block.end)
 
 
 def main() -> int:
@@ -69,13 +85,13 @@ def main() -> int:
     write = parser.parse_args().write
     old = False
     for block in BLOCKS:
-        made = copied(block, block.report.read_text())
+        made = copied(block, ROOT)
         changed = made != block.document.read_text()
         old |= changed
         if write:
             block.document.write_text(made)
         state = "up to date" if not changed else "changed" if write else "old"
-        sys.stdout.write(f"{block.document.name}, of {block.report.name}: {state}\n")
+        sys.stdout.write(f"{block.document.name}, of {block.read[-1]}: {state}\n")
     return int(old and not write)
 
 
