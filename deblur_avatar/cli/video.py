@@ -16,7 +16,7 @@ step, too. Once all is made it says so and changes nothing.
 With --preview there is a first avatar.html after the warm-up, a fifth of the way: open it, and load
 it anew at the end.
 
-Some minutes on a laptop: 8 for 247 frames, most of them for masks and poses.
+Some minutes: five on two cores for 247 frames, most of them for masks and poses.
 """
 
 import argparse
