@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,23 @@ def test_functions_have_at_most_60_lines() -> None:
         and (node.end_lineno or 0) - node.lineno + 1 > MAX_FUNCTION
     ]
     assert not long
+
+
+def layers_in(document: str) -> list[set[str]]:
+    """Layers of the package as a document's block of them has it: `above > below | beside`."""
+    (block,) = re.findall(r"^```\n(cli > .*?)^```", document, re.MULTILINE | re.DOTALL)
+    return [{name.strip() for name in layer.split("|")} for layer in block.split(">")]
+
+
+def test_the_layers_that_are_told_are_those_that_the_linter_keeps() -> None:
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    (layers,) = (
+        contract["layers"]
+        for contract in content["tool"]["importlinter"]["contracts"]
+        if contract["type"] == "layers"
+    )
+    kept = [set(layer.split(" | ")) for layer in layers]
+    assert layers_in((ROOT / "CONTRIBUTING.md").read_text()) == kept
 
 
 def test_private_words_are_gone_from_code_and_parameters() -> None:
