@@ -4,7 +4,7 @@ Dimensions. F frames, C cameras, R recorded cameras, V test views, J joints, B s
 P body vertices, T triangles, N Gaussians, S instants inside one exposure.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -37,6 +37,7 @@ class Clip(Artifact):
     train_camera: int  # camera index
     cameras: Cameras
     timestamps: Float32[Tensor, " F"]  # seconds, the middle of each frame's exposure
+    numbers: tuple[int, ...] | None = None  # of the frames in their file; None: 0, 1, 2, ...
     blurred: bool  # True if the frames are blurred already and `blur` must pass them through
     exposure: float | None  # seconds the shutter was open, where known
     exposure_std: float | None = None  # of its logarithm, where it is a guess; None: it is known
@@ -59,6 +60,12 @@ class Clip(Artifact):
             raise ValueError(f"{len(self.frames)} stacks of frames, {len(self.recorded)} cameras")
         if len(self.timestamps) > 1 and self.timestamps.diff().min() <= 0:
             raise ValueError("timestamps must increase")
+        if self.numbers is not None and len(self.numbers) != len(self.timestamps):
+            raise ValueError("numbers and timestamps must be of one length")
+
+    def numbered(self, positions: Sequence[int]) -> tuple[int, ...]:
+        """What the file calls some frames."""
+        return tuple(positions if self.numbers is None else (self.numbers[p] for p in positions))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -125,7 +125,7 @@ def _passed_through(clip: Clip) -> BlurryClip:
         recorded=clip.recorded,
         train_camera=clip.train_camera,
         cameras=clip.cameras,
-        frame_indices=tuple(range(len(clip.timestamps))),
+        frame_indices=clip.numbered(range(len(clip.timestamps))),
         timestamps=clip.timestamps,
         exposure=clip.exposure,
         exposure_std=clip.exposure_std,

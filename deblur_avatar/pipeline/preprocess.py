@@ -7,6 +7,7 @@ with the same poses (for `oracle`), and the sharp frames with exact poses (for `
 import logging
 import math
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -126,7 +127,7 @@ def preprocess(
             clip.frames, row, kind, found, scenes, by_limbs=params.in_detail
         )
     mattes, sharp_mattes = _mattes(clip, row, params, kind, people, detect)
-    shown = _frames_with_person(mattes)
+    shown = _frames_with_person(mattes, clip.frame_indices)
     track = _track(clip, body, params, people, shown)
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
     crops, cameras = person_crops(
@@ -145,7 +146,7 @@ def preprocess(
         return person_pictures(frames, mattes, background, cut, averaging_space)
 
     taken = pictures(clip.frames[row], mattes)
-    track = _without_lost(track, taken.mattes)
+    track = _without_lost(track, taken.mattes, clip.frame_indices)
     blurred = _observations(clip, body, params, track, taken, crops, cameras)
     sharp, exact = None, None
     if clip.sharp_frames is not None and sharp_mattes is not None:
@@ -241,7 +242,7 @@ def _metrics(blurred: Observations, shown: Bool[Tensor, " F"], track: _Track) ->
             smoothness["fastest_m_s"],
             smoothness["speed_ratio"],
             smoothness["joint"],
-            smoothness["step"],
+            blurred.frame_indices[smoothness["step"]],
         )
     return {
         "frames": {
@@ -311,18 +312,20 @@ def _checked(poses: Poses | None, name: str, body: Body) -> Poses:
     return poses
 
 
-def _frames_with_person(mattes: UInt8[Tensor, "F H W"]) -> Bool[Tensor, " F"]:
+def _frames_with_person(
+    mattes: UInt8[Tensor, "F H W"], numbers: Sequence[int]
+) -> Bool[Tensor, " F"]:
     """Which blurred frames show someone; the sharp ones have no say in what is trained on."""
     shown = mattes.flatten(1).amax(1) >= FILLED
     if not shown.any():
         raise ArtifactError("no frame shows a person: every mask is black; check masks and videos")
     if not shown.all():
-        missing = torch.nonzero(~shown).flatten().tolist()
+        missing = [numbers[index] for index in torch.nonzero(~shown).flatten().tolist()]
         logger.warning("%d frames without a person are skipped: %s", len(missing), spans(missing))
     return shown
 
 
-def _without_lost(track: _Track, mattes: UInt8[Tensor, "F H W"]) -> _Track:
+def _without_lost(track: _Track, mattes: UInt8[Tensor, "F H W"], numbers: Sequence[int]) -> _Track:
     """Trust no frame whose matte lies outside the crop: it is of somebody else, or of nothing.
 
     Raises:
@@ -330,9 +333,10 @@ def _without_lost(track: _Track, mattes: UInt8[Tensor, "F H W"]) -> _Track:
     """
     lost = (track.weights > 0) & (mattes.flatten(1).amax(1) == 0)
     if lost.any():
+        named = [numbers[index] for index in torch.nonzero(lost).flatten().tolist()]
         logger.warning(
             "%d frames are skipped, whose masks show nobody where the body goes: %s",
-            int(lost.sum()), spans(torch.nonzero(lost).flatten().tolist()),
+            len(named), spans(named),
         )  # fmt: skip
     weights = torch.where(lost, 0.0, track.weights)
     if not (weights > 0).any():

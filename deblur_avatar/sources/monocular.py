@@ -121,6 +121,7 @@ def load_monocular(params: MonocularParams, body: Body, segment: Segment) -> tup
             path, footage, params.focal, params.field_of_view, mattes, segment
         ),
         timestamps=(footage.timestamps - footage.timestamps[0]).float(),
+        numbers=None if footage.numbers == tuple(range(count)) else footage.numbers,
         blurred=True,
         exposure=exposure,
         exposure_std=exposure_std,

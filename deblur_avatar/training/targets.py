@@ -56,7 +56,8 @@ def training_frames(observations: Observations) -> list[int]:
         raise ArtifactError("no training frame shows a person; check masks and weights")
     for index in frames:
         if not bool(observations.mattes[index].any()):
-            raise ArtifactError(f"frame {index} has a black mask; its weight should be 0")
+            number = observations.frame_indices[index]
+            raise ArtifactError(f"frame {number} has a black mask; its weight should be 0")
     return frames
 
 

@@ -14,6 +14,7 @@ import torch
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.clip import Clip
 from deblur_avatar.imaging.color import linear_to_srgb, srgb_to_linear
+from deblur_avatar.pipeline.blur import BlurParams, blur
 from deblur_avatar.sources.footage import read_footage
 from deblur_avatar.sources.footage_damage import conversion, light_drift, repeated_frames
 from deblur_avatar.sources.monocular import load_monocular
@@ -242,6 +243,19 @@ def test_a_portrait_recording_stands_upright(body: Body, tmp_path: Path, rotatio
     assert turned.cameras.sizes.tolist() == [[width, height]]
     assert turned.cameras.Ks[0, :2, 2].tolist() == [width / 2, height / 2]
     assert turned.cameras.Ks[0, 0, 0] == plain.cameras.Ks[0, 0, 0]  # of the longer side
+
+
+def test_frames_keep_the_numbers_of_their_file_where_some_were_left_out(body: Body, tmp_path: Path):
+    """What is said of frames later is what clip.frames counts."""
+    path = write(tmp_path / "a.mp4", converted(walker(24)))
+    whole = load(body, path)
+    assert whole.numbered([3, 4, 23]) == (3, 5, 28)
+    assert load(body, path, frames=(5, 15)).numbered(range(8)) == (5, 6, 7, 8, 10, 11, 12, 13)
+    plain = load(body, write(tmp_path / "b.mp4", walker(8)))
+    assert (plain.numbers, plain.numbered([7])) == (None, (7,))
+    params = BlurParams(frames="interpolated", factor=8, window=33, averaging_space="linear")
+    passed = blur(whole, params)
+    assert passed.frame_indices == whole.numbers
 
 
 @pytest.mark.parametrize("quality", [18, 38])
