@@ -60,10 +60,7 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
     home = home_of(name, here)
     source = home.source / PARAMS
     shared = read_params(source)
-    for kind, key in (("method", method), ("schedule", schedule)):
-        known = section_of(shared, source, f"{kind}s", dict)
-        if key is not None and key not in known:
-            raise ConfigError(f"no {kind} {key!r}, there is {', '.join(map(str, known))}")
+    _check_asked(shared, source, method, schedule)
     path = home.folder / PARAMS
     if path.is_file():
         content = _own(path, name, video)
@@ -92,6 +89,23 @@ def name_of(video: Path) -> str:
     """A name for an avatar, from its file's."""
     name = re.sub(r"[^a-z0-9]+", "_", video.stem.lower()).strip("_")
     return name if name[:1].isalpha() else f"v_{name}" if name else "video"
+
+
+def _check_asked(shared: Any, source: Path, method: str, schedule: str | None) -> None:
+    """Refuse rows that the tables lack, and methods that no blurred video can be fitted by."""
+    others = section_of(shared, source, "observations", dict[str, str])
+    rows = map(str, section_of(shared, source, "methods", dict))
+    methods = [name for name in rows if name not in others]
+    if method in others:
+        raise ConfigError(
+            f"--method {method} is fitted to {others[method]} observations, a video has blurred "
+            f"ones alone; choose among {', '.join(methods)}"
+        )
+    if method not in methods:
+        raise ConfigError(f"no method {method!r}, there is {', '.join(methods)}")
+    schedules = [str(name) for name in section_of(shared, source, "schedules", dict)]
+    if schedule is not None and schedule not in schedules:
+        raise ConfigError(f"no schedule {schedule!r}, there is {', '.join(schedules)}")
 
 
 def _new(name: str, video: Path) -> dict[str, Any]:

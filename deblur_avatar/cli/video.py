@@ -57,7 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     parser.add_argument("video", type=Path, help="a video file or a folder of pictures")
     parser.add_argument("--name", default="", help="of the avatar; default: after the file")
-    parser.add_argument("--method", default="lean", help="a row of the tables (default: lean)")
+    parser.add_argument(
+        "--method", default="lean",
+        help="a row of the tables (default: lean); there is agnostic, no_motion, lean, paper, "
+        "no_nonrigid, no_fusion, n3, n5, n7, n9, n13, cubic, learned, released, mad, mad_literal, "
+        "network",
+    )  # fmt: skip
     parser.add_argument(
         "--schedule",
         help="short, medium: 192 pixels; large (default, unless the avatar's file says another), "

@@ -51,6 +51,7 @@ MISTAKES = [
     Mistake("anywhere", "video clip.mp4 --name texts", 1, "another name: --name texts_avatar"),
     Mistake("anywhere", "video clip.mp4 --name", 2, "argument --name: expected one argument"),
     Mistake("anywhere", "video clip.mp4 --method leen", 1, "no method 'leen', there is"),
+    Mistake("anywhere", "video clip.mp4 --method oracle", 1, "oracle is fitted to sharp"),
     Mistake("anywhere", "video clip.mp4 --schedule larg", 1, "no schedule 'larg', there is"),
     Mistake("anywhere", "video clip.mp4 --preview=yes", 2, "--preview: ignored explicit argument"),
     Mistake("anywhere", "video clip.mp4 --own-body=yes", 2, "--own-body: ignored explicit"),

@@ -191,7 +191,10 @@ def test_a_repositorys_damaged_parameters_are_named(root, video, section):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"method": "magic"}, "no method 'magic', there is"),
+        ({"method": "magic"}, "no method 'magic', there is agnostic, no_motion, lean, paper, "),
+        ({"method": "oracle"}, "--method oracle is fitted to sharp obs.*; choose among agnostic, "),
+        ({"method": "ceiling"}, "--method ceiling is fitted to exact observations, a video has bl"),
+        ({"method": "predeblur"}, "--method predeblur is fitted to deblurred observations"),
         (
             {"schedule": "eternal"},
             "no schedule 'eternal', there is medium, short, large, fine, huge",
@@ -207,6 +210,16 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(
     with pytest.raises(ConfigError, match=message):
         prepare(video, here=root, **asked)
     assert not (root / "avatars").exists()
+
+
+def test_help_lists_the_methods_that_a_video_can_be_fitted_by(root, video, capsys):
+    with pytest.raises(ConfigError) as refused:
+        prepare(video, "anna", "magic", None, root)
+    with pytest.raises(SystemExit):
+        main(["video", "--help"])
+    (_, listed) = str(refused.value).split("there is ")
+    assert listed.count(", ") > 10
+    assert f"(default: lean); there is {listed} " in " ".join(capsys.readouterr().out.split()) + " "
 
 
 def test_a_video_that_cannot_be_read_is_refused_before_anything_is_written(root: Path):

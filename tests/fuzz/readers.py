@@ -115,7 +115,12 @@ def _write_parameters(folder: Path) -> None:
 def _write_avatar(folder: Path) -> None:
     """What `make avatar` wrote for one video."""
     avatars = {"lean": {"model": {"kind": "plain"}}}
-    shared = {"methods": {"lean": {}}, "avatars": avatars, "schedules": {"medium": {}}}
+    shared = {
+        "methods": {"lean": {}},
+        "observations": {},
+        "avatars": avatars,
+        "schedules": {"medium": {}},
+    }
     shared |= {"snapshots": 0}
     clip = {"path": str((folder / "film.mp4").resolve())}
     own = {

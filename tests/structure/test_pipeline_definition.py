@@ -198,6 +198,20 @@ def test_only_the_oracle_and_the_ceiling_see_sharp_frames():
         assert sharp == (run["method"] in ("oracle", "ceiling")), name
 
 
+def test_what_methods_are_said_to_be_fitted_to_is_what_their_runs_are_fitted_to():
+    said = PARAMETERS["observations"]
+    assert said.keys() < PARAMETERS["methods"].keys()
+    for name, run in PARAMETERS["runs"].items():
+        assert run["observations"] == said.get(run["method"], "blurred"), name
+    found = [
+        (run["method"], run["observations"])
+        for folder in experiments()
+        for run in read(folder / PARAMS)["runs"].values()
+        if run["method"] in said
+    ]
+    assert set(found) == set(said.items())
+
+
 def test_runs_and_warmups_are_named_after_what_they_are():
     for name, run in PARAMETERS["runs"].items():
         assert name == f"{run['scene']}-{run['method']}"
