@@ -1,14 +1,32 @@
-"""Files: written in one move, whole or not at all; numbers as JSON."""
+"""Files: written in one move, whole or not at all; numbers as JSON; what may not be read."""
 
 import contextlib
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from deblur_avatar.errors import ArtifactError
 
 MAX_VALUE = 2**63 - 1  # of whole numbers
+
+
+@contextlib.contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Name a file or folder of a user's that is looked at within, where the disk refuses it.
+
+    Raises:
+        ArtifactError: if it may not be read, or cannot be.
+    """
+    try:
+        yield
+    except PermissionError as error:
+        raise ArtifactError(
+            f"{path} may not be read by you; allow it (chmod), or copy it to where you may read it"
+        ) from error
+    except OSError as error:
+        raise ArtifactError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -22,6 +22,7 @@ from deblur_avatar.sources.footage import check_readable
 
 PAGE = "avatar.html"
 BODY = "anny"
+LONGEST = 200  # letters of a name; what is called after it has 40 more, a disk takes 255
 ON_A_PAGE = {"plain", "one_sided"}  # kinds of avatars without networks
 ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
 DEFAULT_AVATAR = "paper"
@@ -46,7 +47,7 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
 
     Args:
         video: a video file or a folder of pictures.
-        name: of the avatar; letters, digits and `_`.
+        name: of the avatar; letters, digits and `_`, `LONGEST` at most.
         method: a row of the tables.
         schedule: of `params.yaml`; None: what the avatar's file says, `large` in a new one.
         here: where the command was started.
@@ -57,6 +58,8 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise ConfigError(f"--name {name}: a name is small letters, digits and _, a letter first")
+    if len(name) > LONGEST:
+        raise ConfigError(f"--name {name:.20}...: {len(name)} letters, choose {LONGEST} at most")
     home = home_of(name, here)
     source = home.source / PARAMS
     shared = read_params(source)
@@ -88,7 +91,8 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
 def name_of(video: Path) -> str:
     """A name for an avatar, from its file's."""
     name = re.sub(r"[^a-z0-9]+", "_", video.stem.lower()).strip("_")
-    return name if name[:1].isalpha() else f"v_{name}" if name else "video"
+    name = name if name[:1].isalpha() else f"v_{name}" if name else "video"
+    return name[:LONGEST]
 
 
 def _check_asked(shared: Any, source: Path, method: str, schedule: str | None) -> None:

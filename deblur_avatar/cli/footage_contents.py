@@ -16,7 +16,7 @@ from deblur_avatar.cli.homes import PARAMS, Home
 from deblur_avatar.cli.running_dvc import reproduce
 from deblur_avatar.config.reading import expand_environment, load_params
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.files import read_json, write_json
+from deblur_avatar.files import read_json, readable, write_json
 from deblur_avatar.readers.file_contents import contents_digest
 
 logger = logging.getLogger(__name__)
@@ -76,21 +76,13 @@ def contents_of(folder: Path, scene: str) -> dict[str, str]:
 
 def _holds_something(path: Path) -> bool:
     """Whether there is a file, or a folder that is not empty, as that of an absent disk is."""
-    with _readable(path):
+    with readable(path):
         return path.is_file() or (path.is_dir() and any(path.iterdir()))
 
 
 def _digest(path: Path) -> str:
-    with _readable(path):
+    with readable(path):
         return contents_digest(path)
-
-
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise ArtifactError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def _known(record: Path) -> dict[str, str] | None:

@@ -15,7 +15,7 @@ from configobj import ConfigObj, ConfigObjError
 
 import deblur_avatar
 from deblur_avatar.errors import ArtifactError, ConfigError
-from deblur_avatar.files import write_bytes, write_text
+from deblur_avatar.files import readable, write_bytes, write_text
 from deblur_avatar.pipeline.code import PIPELINE
 
 PARAMS, SCRIPTS, SHIPPED = "params.yaml", "stages", "pipeline_files"
@@ -92,11 +92,15 @@ def home_of(name: str, here: Path) -> Home:
 
     Raises:
         ConfigError: if something else lies there.
+        ArtifactError: if what lies there may not be looked into.
     """
-    if not missing_of_checkout(here):
-        return Home(here / AVATARS / name, here, here)
-    folder = here / name
-    if folder.exists() and not (folder / PARAMS).is_file():
+    checkout = not missing_of_checkout(here)
+    folder = here / AVATARS / name if checkout else here / name
+    with readable(folder):
+        taken = folder.exists() and not (folder / PARAMS).is_file()
+    if checkout:
+        return Home(folder, here, here)
+    if taken:
         raise ConfigError(
             f"{folder} is there and holds no avatar, which would be made in it; choose another "
             f"name: --name {name}_avatar"

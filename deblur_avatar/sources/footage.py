@@ -18,6 +18,7 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError, ConfigError
+from deblur_avatar.files import readable
 from deblur_avatar.frame_numbers import spans
 from deblur_avatar.imaging.picture_files import read_picture
 from deblur_avatar.sources.fades import longest_without_fades
@@ -99,9 +100,11 @@ def check_readable(path: Path) -> None:
 def _as_it_is(
     path: Path, first: int, stop: int | None, stride: int, fps: float, height: int
 ) -> Footage:
-    if path.is_dir():
+    with readable(path):
+        a_folder, a_file = path.is_dir(), path.is_file()
+    if a_folder:
         return _read_folder(path, first, stop, stride, fps, height)
-    if not path.is_file():
+    if not a_file:
         raise ConfigError(f"clip.path: no video and no folder {path}; name the footage to be read")
     video = read_video(path, first, stop, height, stride)
     numbers = tuple(range(first, first + stride * len(video.frames), stride))
@@ -109,11 +112,15 @@ def _as_it_is(
 
 
 def files_in_order(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    """Files of these kinds, numbers in their names counted as numbers: `f2` before `f10`."""
-    found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
-    return sorted(
-        (path for path in found if path.is_file()), key=lambda path: natural_order(path.name)
-    )
+    """Files of these kinds, numbers in their names counted as numbers: `f2` before `f10`.
+
+    Raises:
+        ArtifactError: if the folder may not be read.
+    """
+    with readable(folder):
+        found = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
+        files = [path for path in found if path.is_file()]
+    return sorted(files, key=lambda path: natural_order(path.name))
 
 
 def natural_order(name: str) -> list[tuple[int, int, str]]:

@@ -18,6 +18,7 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.files import readable
 from deblur_avatar.readers.picture_codec import MAX_PIXELS
 from deblur_avatar.sources.video_pictures import decoded
 
@@ -84,7 +85,9 @@ def container_metadata(path: Path) -> dict[str, str]:
 
 def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
     """Decode upright frames and their times."""
-    if not Path(path).is_file():
+    with readable(path):
+        there = Path(path).is_file()
+    if not there:
         raise ArtifactError(f"no video {path}; check the scene's root and videos")
     try:
         with _opened(path) as container:
@@ -109,9 +112,11 @@ def _decode(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "H W 3"], float]]:
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[av.container.InputContainer]:
     """A file with a video in it that names no other file: playlists could read anything."""
+    with readable(path):
+        file = Path(path).open("rb")  # noqa: SIM115
     try:
         with (
-            Path(path).open("rb") as file,
+            file,
             av.open(file, "r", options=NO_OTHER_FILES, metadata_errors="replace") as opened,
         ):
             if not opened.streams.video:

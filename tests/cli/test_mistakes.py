@@ -6,6 +6,8 @@
 import logging
 import re
 import shlex
+import shutil
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 from deblur_avatar.cli import running_dvc
 from deblur_avatar.cli.completion import options_of
 from deblur_avatar.cli.main import COMMANDS, main
+from tests.process_state import ordinary_user
 from tests.sources.small_videos import picture, write_video
 
 ROOT = Path(__file__).parents[2]
@@ -45,10 +48,14 @@ MISTAKES = [
     Mistake("anywhere", "video empty.mp4", 1, "empty.mp4 cannot be decoded"),
     Mistake("anywhere", "video texts", 1, "texts is there and holds no avatar, which would be"),
     Mistake("anywhere", "video texts --name anna", 1, "holds 0 pictures, wanted 0 to 2"),
+    Mistake("anywhere", "video closed --name anna", 1, "closed may not be read by you; allow it"),
+    Mistake("anywhere", "video closed/a.mp4", 1, "a.mp4 may not be read by you; allow it (chmod)"),
+    Mistake("anywhere", "video mine.mp4", 1, "mine.mp4 may not be read by you; allow it (chmod)"),
     Mistake("anywhere", "video clip.mp4 two.mp4", 2, "unrecognized arguments: two.mp4"),
     Mistake("anywhere", "video clip.mp4 --name 'Anna B'", 1, "a name is small letters, digits"),
     Mistake("anywhere", "video clip.mp4 --name ../anna", 1, "a name is small letters, digits"),
     Mistake("anywhere", "video clip.mp4 --name texts", 1, "another name: --name texts_avatar"),
+    Mistake("anywhere", "video clip.mp4 --name closed", 1, "closed may not be read by you"),
     Mistake("anywhere", "video clip.mp4 --name", 2, "argument --name: expected one argument"),
     Mistake("anywhere", "video clip.mp4 --method leen", 1, "no method 'leen', there is"),
     Mistake("anywhere", "video clip.mp4 --method oracle", 1, "oracle is fitted to sharp"),
@@ -151,6 +158,8 @@ def places(tmp_path, monkeypatch, request):
     monkeypatch.setattr(running_dvc, "finish", nothing_runs)
     monkeypatch.setattr(running_dvc, "refresh", lambda folder: [])
 
+    ending = ExitStack()
+
     def go(where):
         if where == "a checkout":
             monkeypatch.chdir(ROOT)
@@ -164,8 +173,14 @@ def places(tmp_path, monkeypatch, request):
             (folder / "params.yaml").write_text("runs: [")
         if where == "anywhere":
             write_video(folder / "clip.mp4", [picture(index) for index in range(3)])
+            for place in (folder / "mine.mp4", folder / "closed"):
+                place.mkdir() if place.suffix == "" else shutil.copy("clip.mp4", place)
+                place.chmod(0)
+                ending.callback(place.chmod, 0o700)
+            ending.enter_context(ordinary_user())
 
-    return go
+    with ending:
+        yield go
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.typed or "nothing")

@@ -201,6 +201,8 @@ def test_a_repositorys_damaged_parameters_are_named(root, video, section):
         ),
         ({"name": "../up"}, "a name is small letters"),
         ({"name": "2nd"}, "a name is small letters"),
+        ({"name": "a" * 201}, r"--name a{20}\.\.\.: 201 letters, choose 200 at most"),
+        ({"name": "a" * 300}, "300 letters, choose 200 at most"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_anything_is_written(
@@ -240,7 +242,12 @@ def test_a_video_that_begins_with_frames_alike_is_taken(root: Path):
 
 @pytest.mark.parametrize(
     ("file", "name"),
-    [("clip.mp4", "clip"), ("2024-05-01.MOV", "v_2024_05_01"), ("Ä.mp4", "video")],
+    [
+        ("clip.mp4", "clip"),
+        ("2024-05-01.MOV", "v_2024_05_01"),
+        ("Ä.mp4", "video"),
+        ("9" * 251 + ".mp4", "v_" + "9" * 198),
+    ],
 )
 def test_a_file_s_name_becomes_the_avatar_s(file: str, name: str):
     assert name_of(Path(file)) == name

@@ -7,9 +7,11 @@ import pytest
 from deblur_avatar.errors import ArtifactError, ConfigError
 from deblur_avatar.sources.footage import (
     Footage,
+    check_readable,
     files_in_order,
     read_footage,
 )
+from tests.process_state import ordinary_user
 from tests.sources.small_videos import FPS, HEIGHT, WIDTH, held_otherwise, picture, write_video
 
 PICTURES = [picture(index) for index in range(6)]
@@ -123,6 +125,23 @@ def test_pictures_of_any_depth_and_channels_become_colours(tmp_path: Path):
 def test_what_is_not_there_is_named(tmp_path: Path):
     with pytest.raises(ConfigError, match=r"no video and no folder .*nowhere\.mp4"):
         read(tmp_path / "nowhere.mp4")
+
+
+@pytest.mark.parametrize("name", ["frames", "frames/a.mp4", "frames/f0.png", "a.mp4"])
+def test_what_may_not_be_read_is_said_so(tmp_path: Path, name: str):
+    closed = [write_pictures(tmp_path / "frames", PICTURES)]
+    closed.append(write_video(tmp_path / "a.mp4", PICTURES))
+    for path in closed:
+        path.chmod(0)
+    with ordinary_user(), pytest.raises(ArtifactError, match=rf"{name} may not be read by you; al"):
+        check_readable(tmp_path / name)
+    for path in closed:
+        path.chmod(0o700)
+
+
+def test_a_name_that_no_disk_takes_is_no_footage(tmp_path: Path):
+    with pytest.raises(ArtifactError, match="a.mp4 cannot be read: File name too long"):
+        check_readable(tmp_path / f"{300 * 'a'}.mp4")
 
 
 @pytest.mark.parametrize("content", [b"", b"not a video at all"])
