@@ -135,8 +135,10 @@ def _read_folder(
     files = files_in_order(folder, PICTURES)
     chosen = list(range(len(files)))[first:stop:stride]
     if not chosen or (stop is not None and stop > len(files)):
+        held = "1 picture" if len(files) == 1 else f"{len(files)} pictures"
+        wanted = f"wanted {first} to {stop or 'the last'}"
         raise ArtifactError(
-            f"{folder} holds {len(files)} pictures, wanted {first} to {stop or 'the last'}; "
+            f"{folder} holds {held}, {'at least two are needed' if len(files) < 2 else wanted}; "
             f"pictures are {', '.join(PICTURES)}"
         )
     pictures, size = [], None

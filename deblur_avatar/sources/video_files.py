@@ -64,6 +64,8 @@ def read_video(path: Path, first: int, stop: int | None, height: int, stride: in
         if count == stop:
             break
     if not frames or size is None or (stop is not None and count < stop):
+        if count == 1:
+            raise ArtifactError(f"{path} holds 1 frame, at least two are needed; film longer")
         last = "the last" if stop is None else stop - 1
         raise ArtifactError(
             f"{path} ends after {count} frames, wanted frames {first} to {last}; download it "

@@ -47,7 +47,7 @@ MISTAKES = [
     Mistake("anywhere", "video notes.txt", 1, "notes.txt cannot be decoded"),
     Mistake("anywhere", "video empty.mp4", 1, "empty.mp4 cannot be decoded"),
     Mistake("anywhere", "video texts", 1, "texts is there and holds no avatar, which would be"),
-    Mistake("anywhere", "video texts --name anna", 1, "holds 0 pictures, wanted 0 to 2"),
+    Mistake("anywhere", "video texts --name anna", 1, "holds 0 pictures, at least two are needed"),
     Mistake("anywhere", "video closed --name anna", 1, "closed may not be read by you; allow it"),
     Mistake("anywhere", "video closed/a.mp4", 1, "a.mp4 may not be read by you; allow it (chmod)"),
     Mistake("anywhere", "video mine.mp4", 1, "mine.mp4 may not be read by you; allow it (chmod)"),

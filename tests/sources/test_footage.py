@@ -153,8 +153,21 @@ def test_a_file_that_is_no_video_is_refused(tmp_path: Path, content: bytes):
 
 
 def test_an_empty_folder_is_refused(tmp_path: Path):
-    with pytest.raises(ArtifactError, match="holds 0 pictures"):
+    with pytest.raises(ArtifactError, match="holds 0 pictures, at least two are needed; pictures"):
         read(write_pictures(tmp_path / "frames", []))
+
+
+def test_one_picture_or_frame_is_too_few(tmp_path: Path):
+    folder = write_pictures(tmp_path / "frames", PICTURES[:1])
+    with pytest.raises(ArtifactError, match="frames holds 1 picture, at least two are needed; pic"):
+        check_readable(folder)
+    with pytest.raises(ArtifactError, match="frames shows 1 picture; a clip is two or more"):
+        read(folder)
+    video = write_video(tmp_path / "a.mp4", PICTURES[:1])
+    with pytest.raises(ArtifactError, match=r"a\.mp4 holds 1 frame, at least two are needed; film"):
+        check_readable(video)
+    with pytest.raises(ArtifactError, match=r"a\.mp4 shows 1 picture; a clip is two or more"):
+        read(video)
 
 
 def test_pictures_of_two_sizes_are_refused(tmp_path: Path):
