@@ -11,6 +11,7 @@ from ruamel.yaml import YAML
 from deblur_avatar.cli.homes import PARAMS, Home, home_of
 from deblur_avatar.config.reading import (
     expand_environment,
+    holds_variable,
     read_params,
     read_yaml,
     section_of,
@@ -22,6 +23,7 @@ from deblur_avatar.sources.footage import check_readable
 
 PAGE = "avatar.html"
 BODY = "anny"
+WIDTH = 10_000  # of lines that are written: folded, a path with two spaces in a row is another one
 LONGEST = 200  # letters of a name; what is called after it has 40 more, a disk takes 255
 ON_A_PAGE = {"plain", "one_sided"}  # kinds of avatars without networks
 ESTIMATED_POSE_STD = 8.0  # degrees that a pose found by a detector may be off, at a joint
@@ -53,7 +55,8 @@ def prepare(video: Path, name: str, method: str, schedule: str | None, here: Pat
         here: where the command was started.
 
     Raises:
-        ConfigError: if there is no such video, name, method or schedule, or the folder is taken.
+        ConfigError: if there is no such video, name, method or schedule, the folder is taken, or
+            no parameter file can say what the video is called.
         ArtifactError: if the video cannot be read, or the disk refuses.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
@@ -115,7 +118,7 @@ def _check_asked(shared: Any, source: Path, method: str, schedule: str | None) -
 def _new(name: str, video: Path) -> dict[str, Any]:
     clip = {
         "source": "monocular",
-        "path": str(video.resolve()),
+        "path": _told_path(video),
         "frames": [0, None],
         "stride": 1,
         "fps": 30.0,
@@ -155,6 +158,21 @@ def _new(name: str, video: Path) -> dict[str, Any]:
         "animations": {},
         "exports": {},
     }
+
+
+def _told_path(video: Path) -> str:
+    """A video's path, which is the same once it was read from a parameter file."""
+    path = str(video.resolve())
+    if holds_variable(path):
+        raise ConfigError(
+            f"{path}: $(...) and ${{...}} are variables in {PARAMS}; rename what is called so"
+        )
+    text = io.StringIO()
+    _yaml().dump([path], text)
+    unicode = path.encode(errors="replace").decode() == path
+    if not unicode or YAML(typ="safe", pure=True).load(text.getvalue()) != [path]:
+        raise ConfigError(f"{path!a}: {PARAMS} cannot keep such letters; rename what is called so")
+    return path
 
 
 def _own(path: Path, name: str, video: Path) -> dict[str, Any]:
@@ -255,13 +273,7 @@ def _places(content: dict[str, Any], up: str) -> dict[str, str]:
 
 def _write(path: Path, content: dict[str, Any]) -> None:
     """Write a new file, or add to the user's what it lacks; its comments and its order stay."""
-    yaml = YAML()
-    yaml.width = 100
-    yaml.preserve_quotes = True
-    yaml.representer.add_representer(
-        type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null")
-    )
-    text = io.StringIO()
+    yaml, text = _yaml(), io.StringIO()
     if path.is_file():
         if read_yaml(path) == content:
             return
@@ -272,6 +284,17 @@ def _write(path: Path, content: dict[str, Any]) -> None:
         whole = content
     yaml.dump(whole, text)
     write_text(path, text.getvalue())
+
+
+def _yaml() -> YAML:
+    """What reads and writes an avatar's file: quotes stay, nothing is `null`."""
+    yaml = YAML()
+    yaml.width = WIDTH
+    yaml.preserve_quotes = True
+    yaml.representer.add_representer(
+        type(None), lambda dumper, _: dumper.represent_scalar("tag:yaml.org,2002:null", "null")
+    )
+    return yaml
 
 
 def _add(known: Any, content: dict[str, Any]) -> None:

@@ -121,6 +121,11 @@ def expand_environment(text: str, where: str) -> str:
     return text
 
 
+def holds_variable(text: str) -> bool:
+    """Whether `expand_environment` takes a part of a text for a variable."""
+    return any(re.search(pattern, text) for pattern in ENVIRONMENT)
+
+
 def own_sections(path: Path) -> dict[str, Any]:
     """The sections that stand in a parameter file itself, unchecked.
 

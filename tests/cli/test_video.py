@@ -233,6 +233,34 @@ def test_a_video_that_cannot_be_read_is_refused_before_anything_is_written(root:
     assert not (root / "avatars").exists()
 
 
+@pytest.mark.parametrize(
+    ("called", "message"),
+    [
+        ("$(1).mp4", r"/\$\(1\)\.mp4: \$\(\.\.\.\) and .* are variables in params\.yaml; rename"),
+        ("${HOME}/a.mp4", r"/\$\{HOME\}/a\.mp4: .* are variables in params\.yaml; rename"),
+        ("a $(DATE:-now).mp4", "are variables in params.yaml"),
+        ("a\x85b.mp4", r"/a\\x85b\.mp4': params\.yaml cannot keep such letters; rename"),
+        ("caf\udce9.mp4", r"/caf\\udce9\.mp4': params\.yaml cannot keep such letters; rename"),
+    ],
+)
+def test_a_video_whose_name_would_be_read_as_another_is_refused(root, video, called, message):
+    (root / called).parent.mkdir(exist_ok=True)
+    video.rename(root / called)
+    with pytest.raises(ConfigError, match=message):
+        prepare(root / called, "anna", "lean", "medium", root)
+    assert not (root / "avatars").exists()
+
+
+@pytest.mark.parametrize(
+    "called", ["$1.mp4", "$().mp4", "a: b # c.mp4", "ü\u2028😀\n.mp4", f"{60 * 'a  '}.mp4", "~"]
+)
+def test_any_other_name_is_read_as_it_was_written(root, video, called):
+    video.rename(root / called)
+    for method in ("lean", "paper"):
+        path = prepare(root / called, "anna", method, "medium", root).folder / "params.yaml"
+        assert load_params(path, "scenes.anna.clip", ClipParams).path == str(root / called)
+
+
 def test_a_video_that_begins_with_frames_alike_is_taken(root: Path):
     """As one that fades in: whether it can be read is asked of its first two frames."""
     alike = write_video(root / "alike.mp4", [picture(index // 2) for index in range(6)])

@@ -4,7 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from deblur_avatar.config.reading import expand_environment, load_params, read_params, read_yaml
+from deblur_avatar.config.reading import (
+    expand_environment,
+    holds_variable,
+    load_params,
+    read_params,
+    read_yaml,
+)
 from deblur_avatar.errors import ConfigError
 from deblur_avatar.parameters import METRICS_OF_STAGES, check_parameters
 from deblur_avatar.pipeline.animate import AnimationParams
@@ -187,3 +193,11 @@ def test_variables_stand_in_parentheses_or_braces(monkeypatch, text):
     assert expand_environment(text, "x") == "cellar/one"
     monkeypatch.setenv("HALL", "")
     assert expand_environment(text, "x") == "attic/one"
+
+
+@pytest.mark.parametrize(
+    ("text", "held"),
+    [("a/$(HALL)", True), ("${HALL:-attic}/one", True), ("$HALL", False), ("$()/${}", False)],
+)
+def test_what_would_be_taken_for_a_variable_can_be_asked(text, held):
+    assert holds_variable(text) == held
