@@ -6,6 +6,7 @@ offsets, a date) is taken out, so equal pixels are equal bytes.
 """
 
 import contextlib
+import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -57,7 +58,7 @@ def read_pixels(path: Path, size: tuple[int, int] | None = None) -> Pixels:
         size: width and height that it must have; others are refused before they are decoded.
 
     Raises:
-        ArtifactError: if it is missing, damaged, too large or no picture.
+        ArtifactError: if it is missing, damaged, too large or no picture, or its name no UTF-8.
     """
     with _opened(path) as (file, spec):
         if size is not None and (spec.width, spec.height) != size:
@@ -83,7 +84,7 @@ def read_attribute(path: Path, name: str) -> Any:
     """What a file says beside its pixels, by OpenImageIO's name; None if it does not.
 
     Raises:
-        ArtifactError: if it is missing, damaged, too large or no picture.
+        ArtifactError: if it is missing, damaged, too large or no picture, or its name no UTF-8.
     """
     with _opened(path) as (_, spec):
         return spec.getattribute(name)
@@ -140,6 +141,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     kind = next((kind for magic, kind in KINDS.items() if start.startswith(magic)), None)
     if kind is None:
         raise damaged(path, "of no known kind" if start else "an empty file")
+    if str(path).encode(errors="replace").decode() != str(path):  # OpenImageIO takes text alone
+        raise ArtifactError(f"the name {os.fsencode(path)!r} is not UTF-8; rename it")
     config = oiio.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
     # The readers of other kinds do not get to see a file unless its name misleads.

@@ -56,6 +56,18 @@ def test_files_have_the_bytes_that_stored_hashes_were_taken_of(name, suffix, opt
     assert encoded(picture, suffix, options) == wanted
 
 
+@pytest.mark.parametrize("called", ["caf\udce9/a.png", "caf\udce9.png"])
+def test_a_name_that_is_not_utf_8_is_said_to_be_none(tmp_path: Path, called: str):
+    path = tmp_path / called
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(encoded(noise(), ".png", QUICK_PNG))
+    for read in (read_pixels, lambda path: read_attribute(path, "Orientation")):
+        with pytest.raises(
+            ArtifactError, match=r"^the name b'.*/caf\\xe9.*' is not UTF-8; rename it$"
+        ):
+            read(path)
+
+
 def test_an_exr_file_holds_half_precision_and_no_date(tmp_path: Path):
     light = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32) * 4
     (tmp_path / "a.exr").write_bytes(encoded(light, ".exr", HALF_EXR))
