@@ -83,10 +83,12 @@ def read_labels(path: Path) -> tuple[Integer[np.ndarray, "H W"], bool]:
     """Read a mask's values as they are stored, 0 where it is transparent.
 
     In a file with a palette the values are the indices, not their colours; of several channels the
-    largest counts.
+    largest counts. Of 16 bits, where any value needs more than 8, 8 are made, rounded up: what is
+    not 0 stays so.
 
     Returns:
-        The values, and whether they are 8-bit greys, which may be coverage rather than labels.
+        The values, and whether they are opaque greys of 8 bits, in equal channels if in several:
+        these may be coverage rather than labels.
 
     Raises:
         ArtifactError: if it is missing, damaged, too large or no picture.
@@ -97,10 +99,16 @@ def read_labels(path: Path) -> tuple[Integer[np.ndarray, "H W"], bool]:
         return palette_indices(path), False
     if found.values.dtype.kind not in "ui":
         raise damaged(path, f"its values are {found.values.dtype} numbers, wanted integers")
-    values = found.values[..., : found.values.shape[2] - found.alpha].max(-1)
+    channels = found.values[..., : found.values.shape[2] - found.alpha]
+    values = channels.max(-1)
+    grey = bool((channels == values[..., None]).all())
     if found.alpha:
-        values = np.where(found.values[..., -1] > 0, values, 0)
-    return values, found.values.shape[2] == 1 and values.dtype == np.uint8
+        opacity = found.values[..., -1]
+        values = np.where(opacity > 0, values, 0)
+        grey &= bool((opacity == np.iinfo(opacity.dtype).max).all())
+    if values.dtype == np.uint16 and values.max() > 255:
+        values = ((values.astype(np.uint32) + 256) // 257).astype(np.uint8)
+    return values, grey and values.dtype == np.uint8
 
 
 def _write(path: Path, pixels: np.ndarray, suffix: str, options: Mapping[str, object]) -> None:

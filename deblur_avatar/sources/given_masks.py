@@ -1,8 +1,9 @@
 """Given masks: a folder of pictures from another program, one for each frame.
 
 A pixel that is not black is person, whatever its value: label pictures count as well as 0 and 255.
-Grey pictures with many values up to white are soft masks and keep them as coverage. A palette's
-colours do not count, its indices do: index 0 is background.
+Grey pictures with many values up to white are soft masks and keep them as coverage: of 8 or 16
+bits, in one channel or in equal ones. So do black and white that a lossy codec left a little off. A
+palette's colours do not count, its indices do: index 0 is background.
 """
 
 from pathlib import Path
@@ -19,6 +20,7 @@ from deblur_avatar.sources.footage import PICTURES, files_in_order
 
 SAME_SHAPE = 0.02  # share by which a mask's aspect may differ from its frame's
 SOFT_VALUES, WHITE = 16, 250  # so many values up to there make a mask soft
+RINGING = 16  # codes that a lossy codec leaves black and white off, each in two values or more
 
 
 def read_masks(
@@ -57,10 +59,17 @@ def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
             f"{path} is {width} x {height}, of another shape than the frames ({size[0]} x {size[1]}"
             " as used); masks must show the whole frame"
         )
-    many = grey and len(np.unique(values)) >= SOFT_VALUES
-    soft = many and values.max() >= WHITE  # labels stay far below
+    soft = grey and _is_coverage(values)
     matte = values if soft else np.where(values > 0, 255, 0).astype(np.uint8)
     scaled = (
         matte if (width, height) == size else cv2.resize(matte, size, None, 0, 0, cv2.INTER_AREA)
     )
     return torch.from_numpy(np.ascontiguousarray(scaled))
+
+
+def _is_coverage(greys: UInt8[np.ndarray, "H W"]) -> bool:
+    """Whether greys are shares of pixels; labels stay far below white, or one is white."""
+    found = np.unique(greys)
+    many = len(found) >= SOFT_VALUES and found[-1] >= WHITE
+    dark, bright = (found < RINGING).sum(), (found > 255 - RINGING).sum()
+    return bool(many or (min(dark, bright) > 1 and dark + bright == len(found)))

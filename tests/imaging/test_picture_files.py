@@ -200,17 +200,37 @@ def test_a_png_file_may_say_that_it_holds_light(tmp_path, picture):
     np.testing.assert_array_equal(read_picture(path), wanted.numpy().astype(np.uint8))
 
 
-def test_only_eight_bits_of_grey_may_be_coverage(tmp_path, picture):
+def test_only_opaque_greys_may_be_coverage(tmp_path, picture):
+    grey, opaque = picture[..., 0], np.full(picture.shape[:2], 255, np.uint8)
+    clear = opaque.copy()
+    clear[0, 0] = 254
     pictures = {
-        "grey": Image.fromarray(picture[..., 0]),
-        "sixteen": Image.fromarray(picture[..., 0].astype(np.uint16)),
+        "grey": Image.fromarray(grey),
+        "grey rgb": Image.fromarray(np.dstack([grey] * 3)),
+        "grey rgba": Image.fromarray(np.dstack([grey, grey, grey, opaque])),
+        "grey la": Image.fromarray(np.dstack([grey, opaque]), mode="LA"),
+        "clear": Image.fromarray(np.dstack([grey, grey, grey, clear])),
+        "sixteen": Image.fromarray(grey.astype(np.uint16)),
         "colours": Image.fromarray(picture),
-        "palette": Image.fromarray(picture[..., 0], mode="P"),
+        "palette": Image.fromarray(grey, mode="P"),
     }
     pictures["palette"].putpalette([7, 7, 7] * 256)
     for name, made in pictures.items():
         made.save(tmp_path / f"{name}.png")
-        labels, grey = read_labels(tmp_path / f"{name}.png")
-        wanted = picture.max(-1) if name == "colours" else picture[..., 0]
+        labels, coverage = read_labels(tmp_path / f"{name}.png")
+        wanted = picture.max(-1) if name == "colours" else grey
         np.testing.assert_array_equal(labels, wanted, err_msg=name)
-        assert grey == (name == "grey"), name
+        assert coverage == name.startswith("grey"), name
+
+
+def test_sixteen_bits_that_are_made_use_of_become_eight_and_nothing_black(tmp_path):
+    deep = np.array([[0, 1, 257, 258], [32767, 32768, 65278, 65535]], np.uint16)
+    Image.fromarray(deep).save(tmp_path / "deep.png")
+    values, coverage = read_labels(tmp_path / "deep.png")
+    assert values.tolist() == [[0, 1, 1, 2], [128, 128, 254, 255]]
+    assert coverage
+    few = np.array([[0, 1, 255]], np.uint16)
+    Image.fromarray(few).save(tmp_path / "few.png")
+    values, coverage = read_labels(tmp_path / "few.png")
+    assert values.tolist() == few.tolist()
+    assert not coverage

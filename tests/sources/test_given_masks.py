@@ -1,3 +1,4 @@
+import io
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,13 @@ def mask(value: int = 255, size: tuple[int, int] = SIZE) -> np.ndarray:
     picture = np.zeros(size[::-1], np.uint8)
     picture[:, size[0] // 2 :] = value
     return picture
+
+
+def parts(*values: int) -> np.ndarray:
+    """The right half has several labels."""
+    picture = mask(0).astype(np.uint16)
+    picture[:, SIZE[0] // 2 :] = np.resize(values, SIZE[0] // 2)
+    return picture if max(values) > 255 else picture.astype(np.uint8)
 
 
 def written(folder: Path, *pictures: Image.Image) -> Path:
@@ -41,8 +49,33 @@ def palette(picture: np.ndarray) -> Image.Image:
         Image.fromarray(np.dstack([mask(9)] * 3 + [np.full_like(mask(), 255)])),
         palette(mask(15)),
         Image.fromarray(mask(255, (48, 32))),
+        Image.fromarray(parts(1, 2)),
+        Image.fromarray(parts(1, 255)),
+        Image.fromarray(parts(2, 15, 255)),
+        Image.fromarray(parts(85, 170, 255)),
+        Image.fromarray(parts(10, 128, 245, 255)),
+        Image.fromarray(np.dstack([parts(3, 255)] * 3)),
+        Image.fromarray(parts(11, 700, 26001).astype(np.uint16)),
+        palette(parts(1, 2)),
     ],
-    ids=["label 1", "label 38", "bits", "16 bits", "colours", "alpha", "palette", "twice the size"],
+    ids=[
+        "label 1",
+        "label 38",
+        "bits",
+        "16 bits",
+        "colours",
+        "alpha",
+        "palette",
+        "twice the size",
+        "two labels",
+        "a label and void",
+        "labels and void",
+        "spread labels",
+        "labels at both ends",
+        "grey colours",
+        "16-bit labels",
+        "DAVIS",
+    ],
 )
 def test_what_is_not_black_is_person_whatever_the_file(tmp_path: Path, picture: Image.Image):
     (found,) = read_masks(written(tmp_path / "m", picture), (0,), 1, SIZE)
@@ -53,6 +86,40 @@ def test_a_soft_mask_keeps_its_coverage(tmp_path: Path):
     soft = np.tile(np.linspace(0, 255, SIZE[0]).astype(np.uint8), (SIZE[1], 1))
     (found,) = read_masks(written(tmp_path / "m", Image.fromarray(soft)), (0,), 1, SIZE)
     assert (found.numpy() == soft).all()
+
+
+def soft_mask() -> np.ndarray:
+    """A network's: hardly ever quite black."""
+    ramp = np.linspace(1, 255, SIZE[0]).astype(np.uint8)
+    return np.tile(ramp, (SIZE[1], 1))
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        Image.fromarray(np.dstack([soft_mask()] * 3)),
+        Image.fromarray(np.dstack([soft_mask()] * 3 + [np.full_like(soft_mask(), 255)])),
+        Image.fromarray(soft_mask().astype(np.uint16) * 257),
+    ],
+    ids=["RGB", "opaque RGBA", "16 bits"],
+)
+def test_a_soft_mask_keeps_its_coverage_in_other_files_too(tmp_path: Path, picture: Image.Image):
+    (found,) = read_masks(written(tmp_path / "m", picture), (0,), 1, SIZE)
+    assert (found.numpy() == soft_mask()).all()
+
+
+@pytest.mark.parametrize("quality", [50, 75, 85, 90, 95, 98, 100])
+@pytest.mark.parametrize("colours", [1, 3])
+def test_what_a_codec_left_off_black_is_no_person(tmp_path: Path, quality: int, colours: int):
+    rows, columns = np.mgrid[:64, :96]
+    hard = np.where(np.hypot((rows - 30) / 25, (columns - 49) / 17) < 1, 255, 0).astype(np.uint8)
+    file = io.BytesIO()
+    picture = Image.fromarray(hard if colours == 1 else np.dstack([hard] * 3))
+    picture.save(file, "JPEG", quality=quality)
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m/0.jpg").write_bytes(file.getvalue())
+    (found,) = read_masks(tmp_path / "m", (0,), 1, (96, 64))
+    assert ((found.numpy() > 127) == (hard > 127)).all()
 
 
 def test_twenty_labels_are_no_soft_mask(tmp_path: Path):
