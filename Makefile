@@ -17,8 +17,9 @@ setup: $(STAMP)
 # torch comes first and alone: a CPU build that nothing later may replace. anny and mediapipe come last, without
 # their own dependencies, and with npm the larger pose model: deblur_avatar/cli/setup.py.
 $(STAMP): pyproject.toml constraints.txt deblur_avatar/cli/setup.py
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
-	  || { echo "deblur_avatar needs Python 3.11 or newer; set PYTHON=python3.12, say"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' \
+	  || { echo "deblur_avatar needs Python 3.11 or 3.12, as mediapipe has no wheels for others, and $(PYTHON) is" \
+	    "$$($(PYTHON) --version 2>&1); set PYTHON=python3.12, say"; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install $(PIP_FLAGS) torch
 	$(BIN)/python -m pip install $(PIP_FLAGS) --editable '.[dev]'

@@ -1,5 +1,10 @@
 import subprocess
+import sys
+import tomllib
 from pathlib import Path
+
+import pytest
+from packaging.specifiers import SpecifierSet
 
 from tests.conftest import FIRST
 
@@ -33,6 +38,25 @@ def test_a_cpu_that_has_no_more_than_the_second_kind_runs_them_once():
     cpu = Path("/proc/cpuinfo")
     wider = cpu.exists() and "avx512f" in cpu.read_text()
     assert len(portable()) == wider
+
+
+@pytest.mark.parametrize("minor", [10, 11, 12, 13, 14])
+def test_setup_takes_the_versions_of_python_that_the_package_does(tmp_path: Path, minor: int):
+    version = tmp_path / "python"
+    told = f"import sys; sys.version_info = (3, {minor}, 1); exec(sys.argv[2])"
+    version.write_text(
+        f'#!/bin/sh\ncase "$1" in\n-c) exec "{sys.executable}" -c "{told}" "$@" ;;\n'
+        f"--version) echo Python 3.{minor}.1 ;;\n*) exit 7 ;;\nesac\n"
+    )
+    version.chmod(0o755)
+    words = ["make", "setup", f"PYTHON={version}", f"STAMP={tmp_path / 'none'}"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        taken = SpecifierSet(tomllib.load(file)["project"]["requires-python"])
+    refusal = f"python is Python 3.{minor}.1; set PYTHON=python3.12, say"
+    assert done.returncode == 2
+    assert ("Error 7" in done.stderr) == (f"3.{minor}.1" in taken) == (minor in (11, 12))
+    assert (refusal in done.stdout) == (minor not in (11, 12))
 
 
 def test_folders_whose_tests_begin_first_are_there():
