@@ -15,11 +15,13 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from deblur_avatar.errors import ArtifactError
+from deblur_avatar.geometry.spacing import evenly_spaced
 from deblur_avatar.imaging.picture_files import read_labels
 from deblur_avatar.sources.footage import PICTURES, files_in_order
 
 SAME_SHAPE = 0.02  # share by which a mask's aspect may differ from its frame's
 SOFT_VALUES, WHITE = 16, 250  # so many values up to there make a mask soft
+LOOKED_AT = 12  # masks that tell whether a folder's are soft: one that shows nobody does not say
 RINGING = 16  # codes that a lossy codec leaves black and white off, each in two values or more
 
 
@@ -45,13 +47,20 @@ def read_masks(
             f"{folder} holds {len(files)} masks, the footage has {total or max(numbers) + 1} "
             "frames; one mask is wanted for every frame, in their order"
         )
-    mattes = torch.stack([_read(files[number], size) for number in numbers])
+    soft = any(_is_soft(files[number]) for number in evenly_spaced(numbers, LOOKED_AT))
+    mattes = torch.stack([_read(files[number], size, soft) for number in numbers])
     if not mattes.any():
         raise ArtifactError(f"{folder}: every mask is black; what is not black is the person")
     return mattes
 
 
-def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
+def _is_soft(path: Path) -> bool:
+    values, grey = read_labels(path)
+    return grey and _is_coverage(values)
+
+
+def _read(path: Path, size: tuple[int, int], soft: bool) -> UInt8[Tensor, "H W"]:
+    """One mask, of a folder that holds soft ones or seems to hold none."""
     values, grey = read_labels(path)
     height, width = values.shape
     if abs(width / height - size[0] / size[1]) > SAME_SHAPE * size[0] / size[1]:
@@ -59,7 +68,7 @@ def _read(path: Path, size: tuple[int, int]) -> UInt8[Tensor, "H W"]:
             f"{path} is {width} x {height}, of another shape than the frames ({size[0]} x {size[1]}"
             " as used); masks must show the whole frame"
         )
-    soft = grey and _is_coverage(values)
+    soft = grey and (soft or _is_coverage(values))
     matte = values if soft else np.where(values > 0, 255, 0).astype(np.uint8)
     scaled = (
         matte if (width, height) == size else cv2.resize(matte, size, None, 0, 0, cv2.INTER_AREA)

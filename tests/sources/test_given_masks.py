@@ -122,6 +122,17 @@ def test_what_a_codec_left_off_black_is_no_person(tmp_path: Path, quality: int, 
     assert ((found.numpy() > 127) == (hard > 127)).all()
 
 
+def test_a_soft_mask_that_shows_nobody_is_known_by_the_others(tmp_path: Path):
+    """A network leaves a code or two of 255 all over, which is no person all over."""
+    greys = np.tile(np.linspace(0, 255, SIZE[0]).astype(np.uint8), (SIZE[1], 1))
+    noise = np.random.default_rng(0).integers(0, 3, greys.shape).astype(np.uint8)
+    for index in range(40):
+        Image.fromarray(noise if index == 23 else greys).save(tmp_path / f"{index}.png")
+    masks = read_masks(tmp_path, tuple(range(40)), 40, SIZE)
+    assert masks[23].max() <= 2
+    assert (masks[0].numpy() == greys).all()
+
+
 def test_twenty_labels_are_no_soft_mask(tmp_path: Path):
     labels = np.tile(np.arange(SIZE[0], dtype=np.uint8), (SIZE[1], 1))
     (found,) = read_masks(written(tmp_path / "m", Image.fromarray(labels)), (0,), 1, SIZE)
