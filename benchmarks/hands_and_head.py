@@ -114,7 +114,9 @@ def found_in(person: Landmarks) -> Float[Tensor, "F 3"]:
     count = len(person.found)
     size = size_in_pictures([person], any_pose=True)
     pace = pace_of(torch.arange(count) / FPS)
-    parts = gather_parts([clean(person, pace, size).person], torch.ones(1, count, 3).bool())
+    parts = gather_parts(
+        [clean(person, pace, size, any_pose=True).person], torch.ones(1, count, 3).bool()
+    )
     return torch.zeros(count, 3) if parts is None else parts.weights[0]
 
 

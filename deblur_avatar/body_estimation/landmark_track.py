@@ -3,8 +3,10 @@
 Three mistakes are looked for: left and right exchanged for some frames (arms and legs apart),
 jumps to a wrong place and back, and losses, where a landmark is hardly seen. Exchanged ones are
 put right. Jumps and losses are flagged, filled in from their neighbours for what needs a value in
-every frame, and given little or no confidence. F frames, L MediaPipe's 33 landmarks; lengths in
-shares of the person's size in the picture, speeds in sizes a second.
+every frame, and given little or no confidence. What is lost beyond the picture's edge may keep the
+detector's guess: legs of who is filmed from the waist up were seen long ago, or by mistake. F
+frames, L MediaPipe's 33 landmarks; lengths in shares of the person's size in the picture, speeds in
+sizes a second.
 """
 
 from collections.abc import Sequence
@@ -70,13 +72,14 @@ def size_in_pictures(people: Sequence[Landmarks], *, any_pose: bool) -> float:
     return float(found.median().clamp(min=1.0)) if len(found) else 1.0
 
 
-def clean(person: Landmarks, pace: Pace, size: float) -> CleanTrack:
+def clean(person: Landmarks, pace: Pace, size: float, *, any_pose: bool) -> CleanTrack:
     """Put right and flag the landmarks of a clip.
 
     Args:
         person: as detected, no smoothing over time.
         pace: of the frames.
         size: of the person in the picture, pixels.
+        any_pose: what is lost beyond the picture's edge stays where the detector guesses it.
     """
     points = person.points.numpy().astype(np.float64) / size
     visibility = person.visibility.numpy() * person.found.numpy()[:, None]
@@ -90,14 +93,17 @@ def clean(person: Landmarks, pace: Pace, size: float) -> CleanTrack:
     jumped = np.zeros_like(lost)
     for mark in range(COUNT):
         jumped[:, mark] = _jumps(points[:, mark], ~lost[:, mark], pace)
-    bad = lost | jumped
-    filled = np.stack([_filled(points[:, m], ~bad[:, m], places) for m in range(COUNT)], axis=1)
-    world = person.world
+    guessed = lost & _beyond_picture(points * size, person) & any_pose
+
+    def without_mistakes(values: Float[np.ndarray, "F L C"]) -> Float[np.ndarray, "F L C"]:
+        good = ~(lost | jumped)
+        filled = [_filled(values[:, m], good[:, m], places) for m in range(COUNT)]
+        return np.where(guessed[..., None], values, np.stack(filled, axis=1))
+
+    filled, world = without_mistakes(points), person.world
     if world is not None:
         exchanged = _exchanged(world.numpy().astype(np.float64), swapped)
-        world = torch.from_numpy(
-            np.stack([_filled(exchanged[:, m], ~bad[:, m], places) for m in range(COUNT)], axis=1)
-        ).float()
+        world = torch.from_numpy(without_mistakes(exchanged)).float()
     cleaned = replace(
         person,
         points=torch.from_numpy(filled * size).float(),
@@ -112,6 +118,15 @@ def trust(flags: Flags, rows: Sequence[int]) -> Float[Tensor, " F"]:
     """Share of some landmarks, one at least, that nothing was wrong with, by frame."""
     bad = flags.jumped | flags.lost
     return 1 - bad[:, list(rows)].float().mean(1)
+
+
+def _beyond_picture(
+    pixels: Float[np.ndarray, "F L 2"], person: Landmarks
+) -> Bool[np.ndarray, "F L"]:
+    """Where somebody was found, and a landmark of hers outside the picture."""
+    height, width = person.mattes.shape[1:]
+    inside = (pixels >= 0).all(-1) & (pixels < (width, height)).all(-1)
+    return ~inside & person.found.numpy()[:, None]
 
 
 def _exchanged(

@@ -69,7 +69,7 @@ def apply_monocular_prior(
         The person with mistakes put right or at no confidence, and what else is known.
     """
     known = [row for row in marks.rows if person.visibility[:, row].any()]  # to its detector
-    track: CleanTrack = clean(person, pace, extent)
+    track: CleanTrack = clean(person, pace, extent, any_pose=any_pose)
     person, rows = track.person, list(marks.rows)
     K, viewmat = cameras.Ks[camera], cameras.viewmats[camera]
     guess, believed = _guess(body, marks, person)

@@ -38,7 +38,7 @@ def walker() -> Landmarks:
 
 
 def cleaned(person: Landmarks) -> CleanTrack:
-    return clean(person, PACE, size_in_pictures([person], any_pose=False))
+    return clean(person, PACE, size_in_pictures([person], any_pose=False), any_pose=False)
 
 
 def changed(person: Landmarks, frames, marks, points) -> Landmarks:
@@ -132,8 +132,8 @@ def test_fast_is_by_the_size_that_is_given(walker: Landmarks):
     """Who lies moves no faster for being short: what is a jump of a height is none of a length."""
     away = walker.points[9, 15] + torch.tensor([250.0, -200])
     moved = changed(walker, 9, 15, away)
-    assert clean(moved, PACE, 600.0).flags.jumped.any()
-    assert not clean(moved, PACE, 3000.0).flags.jumped.any()
+    assert clean(moved, PACE, 600.0, any_pose=False).flags.jumped.any()
+    assert not clean(moved, PACE, 3000.0, any_pose=False).flags.jumped.any()
 
 
 def test_a_gap_in_time_is_no_jump_and_what_is_lost_in_it_lies_on_the_way(walker: Landmarks):
@@ -144,8 +144,67 @@ def test_a_gap_in_time_is_no_jump_and_what_is_lost_in_it_lies_on_the_way(walker:
     points[17:, :, 0] += 500
     lost[17] = 0
     gone_on = dataclasses.replace(walker, points=points, visibility=lost)
-    track = clean(gone_on, pace_of(times), 600.0)
+    track = clean(gone_on, pace_of(times), 600.0, any_pose=False)
     assert not track.flags.jumped.any()
-    assert clean(gone_on, PACE, 600.0).flags.jumped.any()
+    assert clean(gone_on, PACE, 600.0, any_pose=False).flags.jumped.any()
     last, filled, first = track.person.points[16:19]
     torch.testing.assert_close(filled, last + (first - last) * 6 / 7, rtol=0, atol=0.01)
+
+
+@pytest.mark.parametrize("any_pose", [False, True])
+def test_what_is_lost_beyond_the_picture_is_guessed_in_any_pose(walker: Landmarks, any_pose: bool):
+    """Legs below the picture's edge, one of them seen in one frame, by mistake, where an arm is."""
+    visibility, points, world = (
+        value.clone() for value in (walker.visibility, walker.points, walker.world)
+    )
+    visibility[:, LEGS] = 0.1
+    visibility[8, 25] = 0.8
+    points[8, 25], world[8, 25] = torch.tensor([500.0, 200.0]), torch.tensor([0.4, -0.5, 0.0])
+    person = dataclasses.replace(
+        walker, points=points, visibility=visibility, world=world,
+        mattes=torch.zeros(FRAMES, 450, 900, dtype=torch.uint8), found=torch.arange(FRAMES) != 3,
+    )  # fmt: skip
+    track = clean(person, PACE, 600.0, any_pose=any_pose).person
+    assert (points[:, 27, 1] > 450).all()
+    if any_pose:
+        torch.testing.assert_close(track.points[9:, 25], points[9:, 25], rtol=0, atol=1e-3)
+        torch.testing.assert_close(track.world[9:, 25], world[9:, 25], rtol=0, atol=1e-5)
+        assert not torch.equal(track.points[3, 25], points[3, 25])  # nobody was found there
+    else:
+        assert (track.points[:, 25] - points[8, 25]).abs().max() < 1e-3
+    assert torch.equal(track.visibility[9:], visibility[9:])
+
+
+def test_what_is_lost_in_the_picture_lies_between_where_it_was_seen_in_any_pose(walker: Landmarks):
+    hidden = walker.visibility.clone()
+    hidden[6:14, 15] = 0.1
+    person = dataclasses.replace(
+        walker, visibility=hidden, mattes=torch.zeros(FRAMES, 900, 900, dtype=torch.uint8)
+    )
+    points = [clean(person, PACE, 600.0, any_pose=kind).person.points for kind in (False, True)]
+    assert torch.equal(*points)
+    assert not torch.allclose(points[0][10, 15], walker.points[10, 15], atol=0.1)
+
+
+@pytest.mark.parametrize("edge", ["left", "top", "right", "bottom"])
+def test_every_edge_of_the_picture_is_one(walker: Landmarks, edge: str):
+    lost = walker.visibility.clone()
+    lost[10, 15] = 0.1
+    away = {"left": (-1.0, 300.0), "top": (400.0, -1.0), "right": (900.0, 300.0),
+            "bottom": (400.0, 800.0)}[edge]  # fmt: skip
+    person = dataclasses.replace(
+        changed(walker, 10, 15, torch.tensor(away)), visibility=lost,
+        mattes=torch.zeros(FRAMES, 800, 900, dtype=torch.uint8),
+    )  # fmt: skip
+    found = clean(person, PACE, 600.0, any_pose=True).person.points[10, 15]
+    torch.testing.assert_close(found, torch.tensor(away), rtol=0, atol=1e-3)
+
+
+def test_a_jump_beyond_the_picture_is_a_mistake_in_any_pose(walker: Landmarks):
+    person = dataclasses.replace(
+        changed(walker, 10, 15, torch.tensor([-900.0, 300.0])),
+        mattes=torch.zeros(FRAMES, 800, 900, dtype=torch.uint8),
+    )
+    track = clean(person, PACE, 600.0, any_pose=True)
+    assert track.flags.jumped[10, 15]
+    assert (track.person.points[10, 15] - walker.points[10, 15]).norm() < 30
