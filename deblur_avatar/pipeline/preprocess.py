@@ -50,7 +50,7 @@ class PreprocessParams(Params):
     """Masks, crops and poses from blurred frames."""
 
     # estimated_in_detail: by hands and face too, in any pose, and limbs keep their mattes where the
-    # background has their colour (docs/decisions/0064, 0065 and 0073)
+    # background has their colour (docs/decisions/0064, 0065 and 0073); crops hold mattes, too
     poses: Literal["given", "estimated", "estimated_in_detail"]
     # swept: estimated, and no longer than the moving body covered a pixel (docs/decisions/0032)
     masks: Literal["given", "estimated", "swept"]
@@ -130,8 +130,9 @@ def preprocess(
     shown = _frames_with_person(mattes, clip.frame_indices)
     track = _track(clip, body, params, people, shown)
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
+    held = {clip.train_camera: mattes} if params.in_detail else {}
     crops, cameras = person_crops(
-        clip.cameras, body, track.poses, params.margin, image_height, {clip.train_camera: mattes}
+        clip.cameras, body, track.poses, params.margin, image_height, held
     )
     background = scenes[row].background(kind, mattes)
     if params.masks == "swept":

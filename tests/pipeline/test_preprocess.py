@@ -15,7 +15,7 @@ from deblur_avatar.body_estimation import body_fit
 from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks
 from deblur_avatar.body_estimation.part_landmarks import PartLandmarks
-from deblur_avatar.body_estimation.person_crops import _filled_box
+from deblur_avatar.body_estimation.person_crops import _filled_box, person_crops
 from deblur_avatar.body_estimation.trimming import without_background
 from deblur_avatar.errors import ArtifactError
 from deblur_avatar.geometry.cameras import project
@@ -188,20 +188,41 @@ def with_mask(clip: BlurryClip, frames: list[int], rows: slice, columns: slice) 
     return dataclasses.replace(clip, mattes=mattes)
 
 
-def test_what_stands_off_the_body_is_not_cut_off_the_training_camera_s_pictures(
-    clip: BlurryClip, body: Body
+def test_what_stands_off_the_body_is_in_the_crop_of_the_camera_whose_mattes_show_it(
+    clip: BlurryClip, body: Body, poses: Poses
 ):
-    x, y, width, height = bare_crop(clip, body)
+    def crops(mattes: dict[int, torch.Tensor]) -> list[tuple[int, ...]]:
+        return person_crops(CAMERAS, body, poses, 0.0, 40, mattes)[0]
+
+    bare = crops({})
+    x, y, width, height = bare[TRAIN]
     left, wide = x - 8, slice(x - 8, x + width // 2)
     assert left > 1
     skirt = with_mask(clip, [*range(2, 7)], slice(y + height // 2, y + height - 8), wide)
-    made = run(skirt, body, image_height=40, margin=0.0).blurred
-    found = made.crops[TRAIN].int().tolist()
-    assert left - 3 <= found[0] < left
-    assert found[0] + found[2] == x + width
-    assert not (made.mattes[:, :, 0] > 127).any()
-    others = run(clip, body, image_height=40, margin=0.0).blurred.crops[RECORDED[0]]
-    assert torch.equal(made.crops[RECORDED[0]], others)
+    held = crops({TRAIN: skirt.mattes[RECORDED.index(TRAIN)]})
+    assert left - 3 <= held[TRAIN][0] < left
+    assert held[TRAIN][0] + held[TRAIN][2] == x + width
+    assert [crop for crop in held if crop != bare[held.index(crop)]] == [held[TRAIN]]
+    assert crops({TRAIN: torch.zeros_like(skirt.mattes[0])}) == bare
+
+
+@pytest.mark.parametrize("kind", ["estimated", "estimated_in_detail"])
+def test_crops_hold_mattes_in_new_clips(
+    clip: BlurryClip, body: Body, people: dict[int, Landmarks], monkeypatch, kind: str
+):
+    monkeypatch.setattr(body_fit, "COARSE_STEPS", 2)
+    monkeypatch.setattr(body_fit, "FINE_STEPS", 1)
+    held = []
+
+    def crops(*words):
+        held.append(words[-1])
+        return person_crops(*words)
+
+    monkeypatch.setattr("deblur_avatar.pipeline.preprocess.person_crops", crops)
+    monkeypatch.setattr("deblur_avatar.pipeline.preprocess.detect_parts", lambda *_: None)
+    own = of_one_camera(clip, mattes=people[TRAIN].mattes[None])
+    run(own, body, OneCamera(people[TRAIN]), poses=kind, masks="given")
+    assert list(held[0]) == ([TRAIN] if kind == "estimated_in_detail" else [])
 
 
 def test_a_mask_that_strays_for_a_moment_widens_no_crop_of_a_long_clip():
@@ -214,9 +235,8 @@ def test_a_mask_that_strays_for_a_moment_widens_no_crop_of_a_long_clip():
 
 
 def test_a_frame_whose_mask_lies_outside_the_crop_is_skipped_and_named(
-    clip: BlurryClip, body: Body, caplog: pytest.LogCaptureFixture, monkeypatch
+    clip: BlurryClip, body: Body, caplog: pytest.LogCaptureFixture
 ):
-    monkeypatch.setattr("deblur_avatar.body_estimation.person_crops.STRAY", 0.4)
     x, *_ = bare_crop(clip, body)
     mattes = clip.mattes.clone()
     mattes[RECORDED.index(TRAIN), 3] = 0
@@ -228,7 +248,6 @@ def test_a_frame_whose_mask_lies_outside_the_crop_is_skipped_and_named(
     assert "masks show nobody where the body goes: 5" in caplog.text
     mattes[RECORDED.index(TRAIN)] = 0
     mattes[RECORDED.index(TRAIN), :, :20, : x - 2] = 255
-    monkeypatch.setattr("deblur_avatar.body_estimation.person_crops._filled_box", lambda _: None)
     with pytest.raises(ArtifactError, match="no frame has both a mask and a pose"):
         run(dataclasses.replace(clip, mattes=mattes), body, image_height=40, margin=0.0)
 
