@@ -23,6 +23,8 @@ EDGE = 10  # lines over which an encoder smears a bar's edge: a block of eight, 
 PICTURE = 0.95  # share of the lines across, of those that show anything, that the edge cuts
 UNEQUAL = 0.01  # of the side, by which opposite bars may differ
 LEAST = 0.02  # of the side: a narrower bar is some lines that an encoder spoilt
+SMEARED = 0.05  # of the side: no more of it is an edge, in small pictures
+NARROWEST = 0.25  # of the side: a narrower picture is somebody before one colour
 
 Box = tuple[int, int, int, int]  # x, y, width, height
 
@@ -62,6 +64,8 @@ def _pair(frames: UInt8[np.ndarray, "F H W 3"]) -> tuple[int, int]:
     count = frames.shape[1]
     if min(first, last) < LEAST * count or abs(first - last) > max(1, UNEQUAL * count):
         return 0, 0
+    if count - first - last < NARROWEST * count:
+        return 0, 0
     return first, last
 
 
@@ -76,5 +80,6 @@ def _bar(frames: UInt8[np.ndarray, "F H W 3"]) -> int:
     if not len(inside):
         return 0
     start = int(inside[0])
-    across = other[start : start + EDGE, other.mean(0) > 1 - ALL].mean(1) >= PICTURE
+    edge = max(2, min(EDGE, round(SMEARED * len(other))))
+    across = other[start : start + edge, other.mean(0) > 1 - ALL].mean(1) >= PICTURE
     return start + int(across.argmax()) if across.any() else 0

@@ -30,7 +30,7 @@ def framed(
 
 @pytest.mark.parametrize("colour", [0, 16, 128, 255])
 @pytest.mark.parametrize(
-    "bars", [(12, 12, 0, 0), (0, 0, 30, 30), (12, 11, 20, 21), (100, 100, 120, 120)]
+    "bars", [(12, 12, 0, 0), (0, 0, 30, 30), (12, 11, 20, 21), (60, 60, 120, 120)]
 )
 def test_bars_of_one_colour_are_found(bars, colour):
     above, _, left, _ = bars
@@ -58,6 +58,15 @@ def test_somebody_before_one_colour_is_no_picture_with_bars(wall):
         half = 40 + (row - 60) // 10
         frames[:, row, 192 - half : 192 + half] = 120
     assert picture_inside(frames) == (0, 0, 384, 288)
+
+
+def test_somebody_thin_in_the_dark_is_no_picture_with_bars():
+    frames = torch.zeros(8, 144, 192, 3, dtype=torch.uint8)
+    frames[:, 20:140, 90:102] = 120
+    assert picture_inside(frames) == (0, 0, 192, 144)
+    wide = torch.zeros(8, 144, 192, 3, dtype=torch.uint8)
+    wide[:, :, 68:124] = 120
+    assert picture_inside(wide) == (68, 0, 56, 144)
 
 
 def test_one_colour_all_over_has_no_bars():
