@@ -21,6 +21,7 @@ from deblur_avatar.geometry.cameras import (
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 NEAREST = 0.3  # metres; a camera nearer than that to a limb shows little else
+REACH = 1.5  # metres that a camera may step back: limbs reach one from the pelvis
 
 
 def place(
@@ -81,7 +82,7 @@ def framed_camera(
     """A camera whose square picture of `size` pixels holds all points.
 
     It stays where it is. Only where a point comes nearer than `NEAREST`, as an arm does of who
-    films herself and is turned round, it steps straight back until none does.
+    films herself and is turned round, it steps straight back until none does, by `REACH` at most.
 
     Args:
         points: in the world.
@@ -89,8 +90,13 @@ def framed_camera(
         viewmat: where that camera is.
         size: width and height in pixels.
         margin: around the points, as a share of their box's longer side.
+
+    Raises:
+        ValueError: if somebody walks past it.
     """
     nearest = project(points, K, viewmat)[1].min()
+    if nearest < NEAREST - REACH:
+        raise ValueError("the person comes as far as the camera; lower animate.travel")
     if nearest < NEAREST:
         viewmat = viewmat.clone()
         viewmat[2, 3] += NEAREST - nearest

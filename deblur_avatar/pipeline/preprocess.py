@@ -130,21 +130,18 @@ def preprocess(
     shown = _frames_with_person(mattes, clip.frame_indices)
     track = _track(clip, body, params, people, shown)
     _check_in_front(clip.cameras, clip.train_camera, body, track.poses, shown)
-    held = {clip.train_camera: mattes} if params.in_detail else {}
-    crops, cameras = person_crops(
-        clip.cameras, body, track.poses, params.margin, image_height, held
-    )
+    crops, cameras = _crops(clip, body, params, track.poses, mattes, image_height)
     background = scenes[row].background(kind, mattes)
     if params.masks == "swept":
         mattes = swept_mattes(mattes, clip, body, track.poses)
     width, height = cameras.sizes[clip.train_camera].tolist()
-    averaging_space = cast(AveragingSpace, clip.averaging_space)
-
-    def cut(images: Tensor) -> Tensor:
-        return crop_and_scale(images, crops[clip.train_camera], (width, height))
 
     def pictures(frames: Tensor, mattes: Tensor) -> PersonPictures:
-        return person_pictures(frames, mattes, background, cut, averaging_space)
+        return person_pictures(
+            frames, mattes, background,
+            lambda images: crop_and_scale(images, crops[clip.train_camera], (width, height)),
+            cast(AveragingSpace, clip.averaging_space),
+        )  # fmt: skip
 
     taken = pictures(clip.frames[row], mattes)
     track = _without_lost(track, taken.mattes, clip.frame_indices)
@@ -156,6 +153,19 @@ def preprocess(
         if clip.exact is not None:
             exact = replace(sharp, poses=_checked(clip.exact, "exact", body))
     return Preprocessed(blurred, sharp, exact, _metrics(blurred, shown, track))
+
+
+def _crops(
+    clip: BlurryClip,
+    body: Body,
+    params: PreprocessParams,
+    poses: Poses,
+    mattes: UInt8[Tensor, "F H W"],
+    image_height: int,
+) -> tuple[list[Crop], Cameras]:
+    """Where the body goes, and in new clips where the training camera's mattes do."""
+    held = {clip.train_camera: mattes} if params.in_detail else {}
+    return person_crops(clip.cameras, body, poses, params.margin, image_height, held)
 
 
 @dataclass(frozen=True)

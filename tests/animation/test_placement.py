@@ -134,12 +134,23 @@ def test_a_camera_that_hangs_askew_is_set_upright_where_it_stands(body, filmed):
     torch.testing.assert_close(pixels[1], K[:2, 2], atol=0.5, rtol=0)
 
 
+def near(depths: list[float]) -> torch.Tensor:
+    """Points so far before the camera."""
+    seen = torch.tensor([[0.1 * index, 0.2, depth] for index, depth in enumerate(depths)])
+    inverse = torch.linalg.inv(VIEW)
+    return seen @ inverse[:3, :3].T + inverse[:3, 3]
+
+
 def test_a_camera_that_a_limb_would_touch_steps_straight_back():
-    points = torch.tensor([[[0.0, 0.0, 1.0], [9.0, 9.0, 2.0]]])
-    assert project(points, K, VIEW)[1].min() < 0
+    points = near([-0.9, 0.4, 1.5])
     framed = framed_camera(points, K, VIEW, 64, 0.1)
     pixels, depths = project(points, framed.K, framed.viewmat)
     assert depths.min() == pytest.approx(NEAREST, abs=1e-4)
     assert ((pixels > 0) & (pixels < 64)).all()
     assert torch.equal(framed.viewmat[:3, :3], VIEW[:3, :3])
     assert torch.equal(framed.viewmat[:2, 3], VIEW[:2, 3])
+
+
+def test_a_person_who_walks_past_the_camera_is_refused():
+    with pytest.raises(ValueError, match="lower animate.travel"):
+        framed_camera(near([-2.0, 0.4, 1.5]), K, VIEW, 64, 0.1)
