@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from benchmarks.exercises import film_of, print_measured
-from benchmarks.hands_and_head import FPS, RING, SHAPE, SIZE
+from benchmarks.exercises import improvised, mean_of, print_measured
+from benchmarks.hands_and_head import RING, SIZE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.cameras import Cameras
 from deblur_avatar.artifacts.poses import Poses
@@ -29,7 +29,6 @@ from deblur_avatar.body_estimation.landmarks import detect_with_mediapipe
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.cameras import project
 from deblur_avatar.sources.studio.cameras import place_cameras
-from deblur_avatar.sources.studio.improvised import improvise
 
 EDGES = {"below the hips": 0.25, "above the knees": 0.75, "at the knees": 1.0}  # from hip to knee
 KNEES = (25, 26)  # MediaPipe's
@@ -63,12 +62,8 @@ def leg_degrees(
 
 def errors_of_person(body: Body, seed: int, frames: int) -> dict[str, dict[str, float]]:
     """Draw a person, cut her off, fit her; errors by where the edge is."""
-    generator = torch.Generator().manual_seed(seed)
-    betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
     whole = place_cameras(2, SIZE, RING)
-    times = torch.arange(frames) / FPS
-    moves = improvise(generator)(times, float(times[-1]))
-    pictures, mattes, true, _ = film_of(body, betas, moves, times, whole)
+    pictures, mattes, true, times = improvised(body, seed, frames, whole)
     joints = posed(body, true).joints
     rows: dict[str, dict[str, float]] = {}
     for name, share in EDGES.items():
@@ -90,13 +85,8 @@ def errors_of_person(body: Body, seed: int, frames: int) -> dict[str, dict[str, 
 
 def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     """Means over people, by where the edge is."""
-    takes = [errors_of_person(body, seed, frames) for seed in range(first, first + people)]
-    return {
-        name: {
-            key: round(sum(take[name][key] for take in takes) / people, 3) for key in takes[0][name]
-        }
-        for name in EDGES
-    }
+    seeds = range(first, first + people)
+    return mean_of([errors_of_person(body, seed, frames) for seed in seeds], 3)
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ three people, 4 GB; no avatar.
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ from deblur_avatar.body_estimation.part_landmarks import detect_parts
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from deblur_avatar.sources.studio.cameras import place_cameras
-from deblur_avatar.sources.studio.improvised import MIRRORED
+from deblur_avatar.sources.studio.improvised import MIRRORED, improvise
 from deblur_avatar.sources.studio.motion import Moves
 from deblur_avatar.sources.studio.person import create_person
 
@@ -153,38 +153,47 @@ def film_of(
     return Film(pictures, mattes, moves.poses(betas), times)
 
 
-def errors_of(
-    body: Body, name: str, seed: int, frames: int
-) -> tuple[float, dict[str, dict[str, float]]]:
+def improvised(body: Body, seed: int, frames: int, cameras: Cameras) -> Film:
+    """Draw somebody of some shape who does what comes to her, as fast as `hands_and_head`."""
+    generator = torch.Generator().manual_seed(seed)
+    betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
+    times = torch.arange(frames) / hands_and_head.FPS
+    moves = improvise(generator)(times, float(times[-1]))
+    return film_of(body, betas, moves, times, cameras)
+
+
+def mean_of(takes: Sequence[Any], decimals: int) -> Any:
+    """Means over several people's numbers, rounded; of tables entry by entry."""
+    if isinstance(takes[0], Mapping):
+        return {str(key): mean_of([take[key] for take in takes], decimals) for key in takes[0]}
+    return round(sum(takes) / len(takes), decimals)
+
+
+def errors_of(body: Body, name: str, seed: int, frames: int) -> dict[str, Any]:
     """Draw a person at an exercise; in what share of the frames she is found, and each fit."""
     cameras = place_cameras(2, int(hands_and_head.SIZE), hands_and_head.RING)
     pictures, mattes, true, times = drawn(body, name, seed, frames, cameras)
     seen = replace(detect_with_mediapipe(pictures), mattes=mattes)
     seen = replace(seen, parts=detect_parts(pictures, seen.points, seen.visibility))
-    found = {}
+    rows: dict[str, Any] = {"found": float(seen.found.float().mean())}
     for kind, any_pose in FITS.items():
         fit = fit_body(body, cameras, (0,), [seen], times, any_pose=any_pose)
         (quality,) = measure_fit(fit, body, cameras, (0,), [mattes]).values()
         errors = joint_errors(posed(body, fit.poses).joints, posed(body, true).joints)
-        found[kind] = {
+        rows[kind] = {
             "registered_mm": errors["registered_mm"], "rooted_mm": errors["rooted_mm"],
             "agree": quality["agree"], "iou": quality["iou"],
         }  # fmt: skip
-    return float(seen.found.float().mean()), found
+    return rows
 
 
 def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     """Means over people, by exercise and fit."""
-    rows: dict[str, Any] = {}
-    for name in EXERCISES:
-        takes = [errors_of(body, name, seed, frames) for seed in range(first, first + people)]
-        rows[name] = {"found": round(sum(found for found, _ in takes) / people, 3)}
-        for kind in FITS:
-            fits = [take[kind] for _, take in takes]
-            rows[name][kind] = {
-                key: round(sum(fit[key] for fit in fits) / people, 3) for key in fits[0]
-            }
-    return rows
+    seeds = range(first, first + people)
+    return {
+        name: mean_of([errors_of(body, name, seed, frames) for seed in seeds], 3)
+        for name in EXERCISES
+    }
 
 
 def print_measured(

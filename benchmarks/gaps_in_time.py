@@ -13,11 +13,10 @@ avatar.
 from dataclasses import replace
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from benchmarks.exercises import film_of, print_measured
-from benchmarks.hands_and_head import FPS, RING, SHAPE, SIZE
+from benchmarks.exercises import improvised, mean_of, print_measured
+from benchmarks.hands_and_head import FPS, RING, SIZE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.artifacts.poses import Poses
 from deblur_avatar.bodies.posed_body import posed
@@ -25,7 +24,6 @@ from deblur_avatar.body_estimation.body_fit import BodyFit, fit_body
 from deblur_avatar.body_estimation.landmarks import Landmarks, detect_with_mediapipe
 from deblur_avatar.evaluation.estimated_steps import joint_errors
 from deblur_avatar.sources.studio.cameras import place_cameras
-from deblur_avatar.sources.studio.improvised import improvise
 
 MISSING_S = (0.0, 0.2, 0.5, 1.0)
 
@@ -62,12 +60,8 @@ def errors_of_person(
     body: Body, seed: int, frames: int
 ) -> dict[float, dict[str, dict[str, float]]]:
     """Draw a person; errors by the seconds that are missing, beside the gap and elsewhere."""
-    generator = torch.Generator().manual_seed(seed)
-    betas = SHAPE * torch.randn(body.shape_dirs.shape[2], generator=generator)
     cameras = place_cameras(2, SIZE, RING)
-    times = torch.arange(frames) / FPS
-    moves = improvise(generator)(times, float(times[-1]))
-    pictures, mattes, true, _ = film_of(body, betas, moves, times, cameras)
+    pictures, mattes, true, times = improvised(body, seed, frames, cameras)
     found = replace(detect_with_mediapipe(pictures), mattes=mattes)
     rows: dict[float, dict[str, dict[str, float]]] = {}
     for seconds in MISSING_S:
@@ -84,17 +78,8 @@ def errors_of_person(
 
 def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     """Means over people, by the seconds that are missing."""
-    takes = [errors_of_person(body, seed, frames) for seed in range(first, first + people)]
-    return {
-        str(seconds): {
-            part: {
-                key: round(sum(take[seconds][part][key] for take in takes) / people, 1)
-                for key in takes[0][seconds][part]
-            }
-            for part in takes[0][seconds]
-        }
-        for seconds in MISSING_S
-    }
+    seeds = range(first, first + people)
+    return mean_of([errors_of_person(body, seed, frames) for seed in seeds], 1)
 
 
 def main() -> None:

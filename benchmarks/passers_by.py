@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from benchmarks.exercises import print_measured
+from benchmarks.exercises import mean_of, print_measured
 from benchmarks.hands_and_head import SHAPE
 from deblur_avatar.artifacts.body import Body
 from deblur_avatar.body_estimation import person_choice
@@ -189,7 +189,7 @@ def measure(body: Body, first: int, people: int, frames: int) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for name in CASES:
         takes = [track_of_case(body, name, seed, frames) for seed in range(first, first + people)]
-        rows[name] = {key: round(sum(take[key] for take in takes) / people, 3) for key in takes[0]}
+        rows[name] = mean_of(takes, 3)
     return rows
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from benchmarks.exercises import CYCLE, EXERCISES, exercising
+from benchmarks.exercises import CYCLE, EXERCISES, exercising, mean_of
 from deblur_avatar.artifacts.body import SMPL_JOINT_NAMES
 from deblur_avatar.bodies.posed_body import posed
 
@@ -54,3 +54,13 @@ def test_crossed_arms_are_before_the_chest_which_turns_away_from_the_camera(body
     assert (apart < 0.5 * width).all()
     before = joints["left_wrist"] - joints["spine3"]
     assert (sign * before[:, axis] > 0.2).all()
+
+
+def test_means_are_of_each_number_of_a_table_wherever_it_stands():
+    takes = [
+        {"found": 1.0, 0.5: {"a": 1.0}},
+        {"found": 0.5, 0.5: {"a": 2.0}},
+        {"found": 0.5, 0.5: {"a": 2.0}},
+    ]
+    assert mean_of(takes, 2) == {"found": 0.67, "0.5": {"a": 1.67}}
+    assert mean_of(takes[:1], 1) == {"found": 1.0, "0.5": {"a": 1.0}}
